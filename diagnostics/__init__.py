@@ -1,0 +1,5 @@
+"""Can the draws be believed? These functions see arrays, a Problem and a sampler."""
+
+from .convergence import ess, mcse, rhat
+from .distance import noise_floor, sliced_wasserstein
+from .spread import circular_mean, circular_sd, interval, interval_width

@@ -1,0 +1,38 @@
+"""Spread of draws, pixel by pixel. Draws are (chains, draws, *shape); maps have `shape`."""
+
+import numpy as np
+
+
+def interval(values: np.ndarray, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper end of the central interval that holds `level` of the draws."""
+    if not 0 < level < 1:
+        raise ValueError(f"level {level}: it must lie between 0 and 1")
+    flat = _flat(values)
+    low, high = np.quantile(flat, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return low, high
+
+
+def interval_width(values: np.ndarray, level: float = 0.9) -> np.ndarray:
+    """Width of the central interval that holds `level` of the draws."""
+    low, high = interval(values, level)
+    return high - low
+
+
+def circular_mean(phase: np.ndarray) -> np.ndarray:
+    """Mean direction of phases in radians, in (-pi, pi] (Mardia and Jupp 2000)."""
+    return np.angle(np.mean(np.exp(1j * _flat(phase)), axis=0))
+
+
+def circular_sd(phase: np.ndarray) -> np.ndarray:
+    """Circular standard deviation in radians: sqrt(-2 log R), R the mean resultant length."""
+    resultant = np.abs(np.mean(np.exp(1j * _flat(phase)), axis=0))
+    return np.sqrt(-2 * np.log(np.clip(resultant, 1e-300, 1.0)))
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values)
+    if np.iscomplexobj(values):
+        raise ValueError("complex draws: give abs() or np.angle() of them")
+    if values.ndim < 2:
+        raise ValueError(f"draws of shape {values.shape}: give (chains, draws, ...)")
+    return values.reshape(-1, *values.shape[2:])

@@ -1,0 +1,20 @@
+"""What is known before the data: the physics of the recording, and priors on the object.
+
+`Gaussian` here is the camera; the prior of that name is `priors.Gaussian`, or `GaussianPrior`.
+"""
+
+from . import annealing, camera, likelihood, optics, priors
+from .camera import Camera, Gaussian, Poisson, PoissonGaussian
+from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
+from .optics import (
+    Blur,
+    CodedDiffraction,
+    Fourier,
+    FourierPtychography,
+    Identity,
+    Matrix,
+    Optics,
+    Propagation,
+)
+from .priors import Gaussian as GaussianPrior
+from .priors import GaussianField, GaussianMixture, PixelPrior, Prior

@@ -1,0 +1,7 @@
+"""Priors: what is believed about the object before the data."""
+
+from .base import Prior
+from .field import GaussianField
+from .gaussian import Gaussian
+from .mixture import GaussianMixture
+from .pixel import PixelPrior

@@ -1,0 +1,1 @@
+"""Estimators: single answers, to compare with and to start from."""

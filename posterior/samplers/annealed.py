@@ -1,0 +1,242 @@
+"""Annealed Langevin dynamics, Algorithm 1 of the paper, on either path."""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..problem import Posterior
+from .adaptation import AdaptationState, MetropolisAdaptation
+from .base import Adaptation, Sampler, State, langevin_step, noised, vmap_step
+from .mala import MALA, MALAState
+from .metric import Metric
+
+
+class AnnealedState(NamedTuple):
+    """Everything a step needs; `index` counts steps within the current draw."""
+
+    position: jax.Array
+    origin: jax.Array | None
+    polish: MALAState | None
+    index: jax.Array
+    sigmas: jax.Array
+    step_size: jax.Array
+    metric: Metric | None
+    posterior: Posterior
+
+
+class AnnealedInfo(NamedTuple):
+    """Statistics of one step; acceptance is NaN where there is no Metropolis test."""
+
+    sigma: jax.Array
+    score_norm: jax.Array
+    acceptance_rate: jax.Array
+
+
+class AnnealedLangevin(Sampler):
+    """Annealed Langevin (Algorithm 1, alg:two): each draw is the end of a run of its own.
+
+    `levels` geometric noise levels, `steps` Langevin steps at each. The step at level t is
+    alpha_t = step_size * v_t, with v_t the level's variance held under the likelihood's own:
+    1/v_t = 1/s_t^2 + curvature (`Posterior.annealing_variance`); where the level is the smaller it
+    is the paper's alpha_t = eps sigma_t^2/sigma_T^2.
+
+    `path`: "convolved" (the default) anneals from the prior's scale down and needs no start;
+    "split" is the paper's, from just under the measurement noise, and cannot travel: give
+    `sample(..., start=)` an estimate. `published=True` is the printed form of the score (complex
+    objects, "split"): too wide, for comparison. `polish` > 0 adds that many MALA steps on the exact
+    posterior, tuned in warm-up, to each draw. `sigma_max`, `sigma_min` override the levels' range.
+
+    For the signal-dependent perturbation the variable must stay positive: it is reflected at zero.
+    """
+
+    levels: int = eqx.field(static=True, default=500)
+    steps: int = eqx.field(static=True, default=10)
+    step_size: float = 0.3
+    path: str | None = eqx.field(static=True, default=None)
+    published: bool = eqx.field(static=True, default=False)
+    polish: int = eqx.field(static=True, default=0)
+    sigma_max: float | None = None
+    sigma_min: float | None = None
+
+    shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "sigmas", "step_size", "metric")
+
+    def __post_init__(self):
+        if self.path is None:
+            self.path = "split" if self.published else "convolved"
+
+    def __check_init__(self):
+        for name, value, least in (
+            ("levels", self.levels, 2),
+            ("steps", self.steps, 1),
+            ("polish", self.polish, 0),
+        ):
+            if value < least:
+                raise ValueError(f"{name} {value}: give {least} or more")
+        if not 0 < self.step_size < 2:
+            raise ValueError(f"step_size {self.step_size}: a fraction, stable between 0 and 2")
+        if self.path not in ("split", "convolved"):
+            raise ValueError(f"unknown path {self.path!r}: use 'split' or 'convolved'")
+        if self.published and self.path != "split":
+            raise ValueError("published=True is the paper's form, on path='split' only")
+
+    def init(
+        self, key: jax.Array, posterior: Posterior, position: jax.Array | None = None
+    ) -> AnnealedState:
+        """State before the first level. Every draw starts anew from `position`, if given."""
+        sigma_max, sigma_min = posterior.annealing_range(self.path)
+        sigma_max = sigma_max if self.sigma_max is None else self.sigma_max
+        sigma_min = sigma_min if self.sigma_min is None else self.sigma_min
+        sigmas = jnp.geomspace(sigma_max, sigma_min, self.levels)
+        start = posterior.start(key) if position is None else position
+        sigmas = sigmas.astype(start.real.dtype)
+        polish = MALA().init(key, posterior, start) if self.polish else None
+        return AnnealedState(
+            position=start,
+            origin=position,
+            # The posterior, step size and metric of the polish are the shared fields below.
+            polish=polish and _without_shared(polish),
+            index=jnp.zeros((), jnp.int32),
+            sigmas=sigmas,
+            step_size=polish.step_size if polish else jnp.zeros((), sigmas.dtype),
+            metric=polish.metric if polish else None,
+            posterior=posterior,
+        )
+
+    def steps_per_draw(self) -> int:
+        """All levels, and the polish."""
+        return self.levels * self.steps + self.polish
+
+    def step(self, key: jax.Array, state: AnnealedState) -> tuple[AnnealedState, AnnealedInfo]:
+        """One Langevin step at the level of `state.index`, or one MALA step of the polish."""
+        index = state.index
+        if self.polish:
+            annealing = index < self.levels * self.steps
+            state, info = jax.lax.cond(
+                annealing, self._annealing_step, self._polish_step, key, state
+            )
+        else:
+            state, info = self._annealing_step(key, state)
+        return state._replace(index=(index + 1) % self.steps_per_draw()), info
+
+    def default_warmup(self) -> int:
+        """Steps that tune the polish, after a pilot run; none without a polish."""
+        return 500 if self.polish else 0
+
+    def adaptation(self) -> Adaptation | None:
+        """Tunes the polish; nothing to tune without one."""
+        return _PolishAdaptation(self) if self.polish else None
+
+    def _annealing_step(
+        self, key: jax.Array, state: AnnealedState
+    ) -> tuple[AnnealedState, AnnealedInfo]:
+        key_start, key_step = jax.random.split(key)
+        x = jax.lax.cond(
+            state.index == 0, lambda: self._restart(key_start, state), lambda: state.position
+        )
+        sigma = state.sigmas[jnp.minimum(state.index // self.steps, self.levels - 1)]
+        posterior = state.posterior
+        score = posterior.annealed_score(x, sigma, self.path, self.published)
+        step = self.step_size * posterior.annealing_variance(sigma, self.path)
+        x = langevin_step(key_step, x, score, step)
+        if posterior.positive:
+            x = jnp.abs(x)
+        info = AnnealedInfo(sigma, jnp.linalg.norm(score), jnp.full((), jnp.nan, sigma.dtype))
+        return state._replace(position=x), info
+
+    def _restart(self, key: jax.Array, state: AnnealedState) -> jax.Array:
+        key_start, key_noise = jax.random.split(key)
+        start = state.posterior.start(key_start) if state.origin is None else state.origin
+        if state.posterior.positive:
+            return start
+        return noised(key_noise, start, state.sigmas[0])
+
+    def _polish_step(
+        self, key: jax.Array, state: AnnealedState
+    ) -> tuple[AnnealedState, AnnealedInfo]:
+        first = state.index == self.levels * self.steps
+        posterior = state.posterior
+        mala = state.polish._replace(
+            posterior=posterior, step_size=state.step_size, metric=state.metric
+        )
+
+        def begin() -> MALAState:
+            log_prob, score = posterior.log_prob_and_score(state.position)
+            return mala._replace(position=state.position, log_prob=log_prob, score=score)
+
+        mala = jax.lax.cond(first, begin, lambda: mala)
+        mala, info = MALA().step(key, mala)
+        state = state._replace(position=mala.position, polish=_without_shared(mala))
+        return state, AnnealedInfo(
+            jnp.zeros_like(state.sigmas[0]), jnp.linalg.norm(mala.score), info.acceptance_rate
+        )
+
+
+def _without_shared(state: MALAState) -> MALAState:
+    return state._replace(posterior=None, step_size=None, metric=None)
+
+
+class _PolishAdaptation(Adaptation):
+    """One annealed run of every chain, then the warm-up of MALA from where they end."""
+
+    def __init__(self, sampler: AnnealedLangevin):
+        self.sampler = sampler
+        self.mala = MALA()
+        self.inner = MetropolisAdaptation(self.mala)
+
+    def steps(self, warmup: int) -> int:
+        return self._pilot_steps() + warmup
+
+    def init(self, states: AnnealedState) -> AdaptationState:
+        return self.inner.init(self._mala_states(states))
+
+    def step(
+        self,
+        index: jax.Array,
+        warmup: int,
+        keys: jax.Array,
+        states: AnnealedState,
+        adapted: AdaptationState,
+    ) -> tuple[AnnealedState, AdaptationState]:
+        def anneal(states: State, adapted: State) -> tuple[State, State]:
+            # The pilot stops where the polish would begin.
+            return vmap_step(self.sampler, keys, states)[0], adapted
+
+        def tune(states: State, adapted: State) -> tuple[State, State]:
+            mala = self._mala_states(states)
+            first = index == self._pilot_steps()
+            mala = jax.lax.cond(first, lambda: self._evaluated(mala), lambda: mala)
+            mala, adapted = self.inner.step(
+                index - self._pilot_steps(), warmup, keys, mala, adapted
+            )
+            return self._written(states, mala), adapted
+
+        return jax.lax.cond(index < self._pilot_steps(), anneal, tune, states, adapted)
+
+    def finish(self, states: AnnealedState, adapted: AdaptationState) -> AnnealedState:
+        mala = self.inner.finish(self._mala_states(states), adapted)
+        return self._written(states, mala)._replace(index=jnp.zeros_like(states.index))
+
+    def _pilot_steps(self) -> int:
+        return self.sampler.levels * self.sampler.steps
+
+    def _mala_states(self, states: AnnealedState) -> MALAState:
+        return states.polish._replace(
+            position=states.position,
+            posterior=states.posterior,
+            step_size=states.step_size,
+            metric=states.metric,
+        )
+
+    def _evaluated(self, mala: MALAState) -> MALAState:
+        log_prob, score = jax.vmap(mala.posterior.log_prob_and_score)(mala.position)
+        return mala._replace(log_prob=log_prob, score=score)
+
+    def _written(self, states: AnnealedState, mala: MALAState) -> AnnealedState:
+        return states._replace(
+            position=mala.position,
+            polish=_without_shared(mala),
+            step_size=mala.step_size,
+            metric=mala.metric,
+        )

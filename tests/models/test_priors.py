@@ -1,0 +1,209 @@
+"""Analytic priors: density and score at every annealing level against independent forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from posterior.models import priors
+from posterior.models.realview import from_real, to_real
+from scipy import integrate
+
+SIGMAS = [0.0, 0.05, 0.7, 5.0]
+
+
+def mixture(dtype, size=3, seed=0):
+    rng = np.random.default_rng(seed)
+    n = 2 * size if dtype is complex else size
+    roots = rng.standard_normal((3, n, n))
+    covariances = roots @ np.swapaxes(roots, 1, 2) / n + 0.05 * np.eye(n)
+    means = rng.standard_normal((3, n))
+    return priors.GaussianMixture([0.5, 0.3, 0.2], means, covariances, (size,), dtype), covariances
+
+
+def field(dtype, shape=(4, 6)):
+    rows, cols = np.meshgrid(*(np.fft.fftfreq(n) for n in shape), indexing="ij")
+    power = 0.1 + 1 / (0.05 + rows**2 + cols**2)
+    mean = 0.3 + (0.2j if dtype is complex else 0)
+    return priors.GaussianField(power, mean, dtype=dtype)
+
+
+def gaussian(dtype):
+    n = 6 if dtype is complex else 3
+    root = np.random.default_rng(1).standard_normal((n, n))
+    return priors.Gaussian(np.arange(n), root @ root.T + 0.1 * np.eye(n), (3,), dtype)
+
+
+GAUSSIANS = {
+    "mixture": lambda dtype: mixture(dtype)[0],
+    "field": field,
+    "gaussian": gaussian,
+}
+
+
+@pytest.mark.parametrize("name", GAUSSIANS)
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("sigma", SIGMAS)
+def test_score_is_the_gradient_of_the_density(x64, name, dtype, sigma):
+    prior = GAUSSIANS[name](dtype)
+    v = to_real(prior.sample(jax.random.key(0)))
+    density = jax.jit(lambda v: prior.log_prob(from_real(v, prior.shape, prior.dtype), sigma))
+    h = 1e-5
+    steps = h * np.eye(len(v))
+    expected = [(density(v + s) - density(v - s)) / (2 * h) for s in steps]
+    found = to_real(prior.score(from_real(v, prior.shape, prior.dtype), sigma))
+    scale = np.abs(found).max()
+    np.testing.assert_allclose(found, expected, atol=1e-6 * max(scale, 1.0))
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("sigma", SIGMAS)
+def test_mixture_density_against_scipy(x64, dtype, sigma):
+    prior, covariances = mixture(dtype)
+    s = sigma / 2 if dtype is complex else sigma
+    x = prior.sample(jax.random.key(3))
+    density = sum(
+        w * scipy.stats.multivariate_normal(m, c + s**2 * np.eye(len(m))).pdf(to_real(x))
+        for w, m, c in zip([0.5, 0.3, 0.2], prior.means, covariances)
+    )
+    np.testing.assert_allclose(prior.log_prob(x, sigma), np.log(density), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("sigma", SIGMAS)
+def test_field_density_against_its_dense_covariance(x64, dtype, sigma):
+    prior = field(dtype)
+    n = int(np.prod(prior.shape))
+    basis = np.eye(n).reshape(n, *prior.shape)
+    colour = np.fft.ifft2(np.asarray(prior.power) * np.fft.fft2(basis)).real.reshape(n, n)
+    s = sigma / 2 if dtype is complex else sigma
+    normal = scipy.stats.multivariate_normal(np.zeros(n), colour + s**2 * np.eye(n))
+    x = prior.sample(jax.random.key(1))
+    rest = np.asarray(x - prior.mean).ravel()
+    parts = [rest.real, rest.imag] if dtype is complex else [rest]
+    expected = sum(normal.logpdf(p) for p in parts)
+    np.testing.assert_allclose(prior.log_prob(x, sigma), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", GAUSSIANS)
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_samples_have_the_moments_of_the_density(x64, name, dtype):
+    """E[score] = 0 and E[score score^T] = -E[Hessian]: draws and density are of one law."""
+    prior = GAUSSIANS[name](dtype)
+    keys = jax.random.split(jax.random.key(7), 20_000)
+    draws = jax.vmap(prior.sample)(keys)
+    scores = np.asarray(jax.vmap(lambda x: to_real(prior.score(x)))(draws))
+    z = scores.mean(0) / (scores.std(0) / np.sqrt(len(scores)))
+    assert np.abs(z).max() < 4.5
+    # Stein's identity, component by component: E[x_i s_i] = -1.
+    flat = np.asarray(jax.vmap(to_real)(draws))
+    products = (flat - flat.mean(0)) * scores
+    z = (products.mean(0) + 1) / (products.std(0) / np.sqrt(len(products)))
+    assert np.abs(z).max() < 4.5
+    spread = np.sqrt(np.mean((flat - flat.mean(0)) ** 2))
+    assert abs(float(prior.scale) / spread - 1) < 0.03
+
+
+def test_field_fitted_to_its_own_draws_finds_its_spectrum(x64):
+    shape = (64, 64)
+    rows, cols = np.meshgrid(*(np.fft.fftfreq(n) for n in shape), indexing="ij")
+    radius = np.hypot(rows, cols)
+    prior = priors.GaussianField(0.01 / (0.05 + radius) ** 2, mean=0.4)
+    draws = np.asarray(jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 64)))
+    fitted = priors.GaussianField.fit(list(draws), (48, 80))
+    rows, cols = np.meshgrid(*(np.fft.fftfreq(n) for n in (48, 80)), indexing="ij")
+    radius = np.hypot(rows, cols)
+    inside = (radius > 0.05) & (radius < 0.45)
+    ratio = np.asarray(fitted.power)[inside] * (0.05 + radius[inside]) ** 2 / 0.01
+    # A ring of 64 pictures has at least 64 * 2 * 3 degrees of freedom; the window blurs by 2 %.
+    assert np.abs(ratio - 1).max() < 4 * np.sqrt(2 / 384) + 0.02
+    assert fitted.shape == (48, 80)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.1, 0.5, 2.0])
+@pytest.mark.parametrize("x", [0.02, 0.5, 1.3, 4.0])
+def test_pixel_prior_against_adaptive_quadrature(x64, sigma, x):
+    prior = priors.PixelPrior.gamma(3.0, 4.0, (1,))
+    density = scipy.stats.gamma(3.0, scale=0.25).pdf
+
+    def kernel(clean):
+        return density(clean) * scipy.stats.norm.pdf(x, clean, sigma * np.sqrt(clean))
+
+    # The kernel's peak and width tell the quadrature where to look.
+    width = sigma * np.sqrt(x) + sigma**2
+    points = np.clip([x - 4 * width, x, x + 4 * width], 1e-6, 12.0)
+    options = {"points": points, "limit": 500, "epsabs": 0, "epsrel": 1e-10}
+    norm, _ = integrate.quad(kernel, 0, 12, **options)
+    slope, _ = integrate.quad(
+        lambda c: kernel(c) * (c - x) / (sigma**2 * c), 0, 12, **{**options, "epsabs": 1e-12 * norm}
+    )
+    found = prior.log_prob(jnp.asarray([x]), sigma)
+    # The table is linear between 4001 points: its relative error is of order (12/4000)^2.
+    np.testing.assert_allclose(found, np.log(norm), atol=1e-4)
+    score = prior.score(jnp.asarray([x]), sigma)[0]
+    np.testing.assert_allclose(score, slope / norm, atol=1e-4 * (1 + abs(slope / norm)))
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.05, 0.5])
+def test_pixel_prior_score_is_the_gradient_of_its_density(x64, sigma):
+    prior = priors.PixelPrior.gamma(3.0, 4.0, (5,))
+    x = jnp.asarray([0.11, 0.4, 0.73, 1.21, 2.0])
+    found = prior.score(x, sigma)
+    expected = jax.grad(prior.log_prob)(x, sigma)
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3)
+
+
+def test_pixel_prior_draws_follow_the_density(x64):
+    prior = priors.PixelPrior.gamma(2.5, 3.0, (20_000,))
+    draws = np.asarray(prior.sample(jax.random.key(0)))
+    test = scipy.stats.kstest(draws, scipy.stats.gamma(2.5, scale=1 / 3).cdf)
+    assert test.pvalue > 1e-3
+    # The same test sees a density whose rate is 5 % wrong.
+    wrong = scipy.stats.kstest(draws, scipy.stats.gamma(2.5, scale=1.05 / 3).cdf)
+    assert wrong.pvalue < 1e-6
+
+
+def test_pixel_prior_is_finite_in_float32_at_the_ends():
+    prior = priors.PixelPrior.gamma(3.0, 4.0, (6,))
+    x = jnp.asarray([0.0, 1e-12, 1e-3, 1.0, 50.0, 1e4])
+    for sigma in (1e-3, 0.1, 3.0):
+        assert np.all(np.isfinite(prior.score(x, sigma)))
+
+
+@pytest.mark.parametrize("name", GAUSSIANS)
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_precision_follows_the_switch(name, dtype):
+    with jax.enable_x64(False):
+        prior = GAUSSIANS[name](dtype)
+        x = prior.sample(jax.random.key(0))
+        assert x.dtype == (jnp.complex64 if dtype is complex else jnp.float32)
+        assert prior.score(x, 0.1).dtype == x.dtype
+        assert prior.log_prob(x, 0.1).dtype == jnp.float32
+
+
+EYE = np.eye(3)
+BAD = [
+    (lambda: priors.Gaussian(0.0, -1.0, (3,)), "negative eigenvalue -1"),
+    (lambda: priors.Gaussian(np.zeros(2), EYE, (3,)), r"\(1, 2\).*\(1, 3\)"),
+    (lambda: priors.Gaussian([0, np.nan, 0], EYE, (3,)), "means holds NaN"),
+    (lambda: priors.GaussianMixture([1, -1], np.zeros((2, 3)), [EYE, EYE], (3,)), r"\[1.0, -1.0\]"),
+    (lambda: priors.GaussianMixture([1], np.zeros((1, 3)), [EYE], (3,), complex), r"\(1, 6\)"),
+    (lambda: priors.GaussianMixture([1], np.zeros((1, 3)), [np.triu(EYE + 1)], (3,)), "symmetric"),
+    (lambda: priors.GaussianField(np.array([[1.0, 0.0]])), "value 0"),
+    (lambda: priors.GaussianField(np.array([[1.0, 2.0, 3.0]])), "power\\(-k\\)"),
+    (lambda: priors.GaussianField(np.ones((2, 2)), mean=1j), "complex mean"),
+    (lambda: priors.GaussianField.fit(np.ones((16, 16))), "constant"),
+    (lambda: priors.GaussianField.fit([np.ones(5)]), r"\(5,\)"),
+    (lambda: priors.GaussianField.fit(np.full((16, 16), np.nan)), "picture 0 holds NaN"),
+    (lambda: priors.PixelPrior([0, 0.5, 0.4], np.ones(3), (2,)), "increase"),
+    (lambda: priors.PixelPrior([0, 1], [0, 0], (2,)), "zero everywhere"),
+    (lambda: priors.PixelPrior([0, 1], [1, 1, 1], (2,)), r"\(3,\)"),
+    (lambda: field(float).log_prob(jnp.zeros((3, 3))), r"\(3, 3\)"),
+    (lambda: field(float).log_prob(jnp.zeros((4, 6), complex)), "complex object"),
+]
+
+
+@pytest.mark.parametrize("build, sentence", BAD)
+def test_bad_input_is_one_sentence(build, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        build()
