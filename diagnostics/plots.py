@@ -1,0 +1,247 @@
+"""The overview figure of a run: truth, recording, draws, mean, and how sure each pixel is."""
+
+import os
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec, SubplotSpec
+
+from .spread import circular_sd, interval_width
+
+_INCH = 2.0  # a side of a panel
+_DPI = 150
+_DRAWS = ("a draw", "another draw", "a third", "a fourth")
+_GREY, _SPREAD, _WIDTH, _PHASE = "gray", "viridis", "magma", "twilight"
+
+
+_ERRORS = {
+    "amplitude": lambda a, b: np.abs(np.abs(a) - np.abs(b)),
+    "phase": lambda a, b: np.abs(np.angle(a * b.conj())),
+}
+
+
+class ComplexMaps(NamedTuple):
+    """Pixel maps of complex draws: amplitudes in the object's unit, phases in radians."""
+
+    mean_amplitude: np.ndarray
+    mean_phase: np.ndarray
+    sd_amplitude: np.ndarray
+    sd_phase: np.ndarray
+    width_amplitude: np.ndarray
+    width_phase: np.ndarray
+
+
+def align_phase(values: np.ndarray, reference: np.ndarray | None = None) -> np.ndarray:
+    """Complex draws (chains, draws, *shape), each turned by the global phase nearest `reference`.
+
+    `reference`: an object; None: the mean of the draws, once all are turned to the first.
+    """
+    if reference is None:
+        values = align_phase(values, values[0, 0])
+        reference = values.mean(axis=(0, 1))
+    overlap = np.tensordot(values, reference.conj(), axes=reference.ndim)
+    turn = np.exp(-1j * np.angle(overlap))
+    return values * turn.reshape(*turn.shape, *(1,) * reference.ndim)
+
+
+def complex_maps(values: np.ndarray, level: float = 0.9) -> ComplexMaps:
+    """Maps of aligned complex draws (chains, draws, *shape).
+
+    Phases are referred to that of the mean field, so that an interval never straddles the cut at
+    +-pi; their sd is circular. Widths are those of the central interval that holds `level`.
+    """
+    mean = values.mean(axis=(0, 1))
+    amplitude, phase = np.abs(values), np.angle(values * np.exp(-1j * np.angle(mean)))
+    return ComplexMaps(
+        amplitude.mean(axis=(0, 1)),
+        np.angle(mean),
+        amplitude.std(axis=(0, 1)),
+        circular_sd(phase),
+        interval_width(amplitude, level),
+        interval_width(phase, level),
+    )
+
+
+def overview(
+    path: str | os.PathLike | None,
+    truth: np.ndarray | None,
+    data: np.ndarray,
+    draws: Sequence[np.ndarray],
+    mean: np.ndarray,
+    sd: np.ndarray,
+    width: np.ndarray,
+    *,
+    data_title: str = "recording",
+    data_is_object: bool = False,
+    title: str | None = None,
+) -> Figure:
+    """Draw a run, save it as PNG to `path` unless that is None, and return the figure.
+
+    `draws`: objects (h, w), two or more; `mean`: an object; `data`: any picture, shown on the
+    object's scale if `data_is_object`. `sd` and `width` (of the 90 % interval) are (h, w); for
+    complex objects (2, h, w), of amplitude and of phase in radians, and then `truth` and `draws`
+    must be aligned to `mean` (`align_phase`). Without `truth` its panel, and that of the error of
+    the mean, are left out.
+    """
+    arguments = (truth, data, draws, mean, sd, width, data_title)
+    if np.iscomplexobj(mean):
+        figure = _complex_overview(*arguments)
+    else:
+        figure = _real_overview(*arguments, data_is_object)
+    if title:
+        figure.suptitle(title, fontsize=11, y=0.985)
+    if path is not None:
+        FigureCanvasAgg(figure).print_figure(os.fspath(path), dpi=_DPI, format="png")
+    return figure
+
+
+# ---- real objects --------------------------------------------------------------------------------
+
+
+def _real_overview(
+    truth: np.ndarray | None,
+    data: np.ndarray,
+    draws: Sequence[np.ndarray],
+    mean: np.ndarray,
+    sd: np.ndarray,
+    width: np.ndarray,
+    data_title: str,
+    data_is_object: bool,
+) -> Figure:
+    grey = _scale([*draws[:2], mean, *([] if truth is None else [truth])], _GREY)
+    error = [] if truth is None else [np.abs(mean - truth)]
+    spread, wide = _scale([sd, *error], _SPREAD, zero=True), _scale([width], _WIDTH, zero=True)
+    own = grey if data_is_object else _scale([data], _GREY)
+    top = [("truth", truth, grey), (data_title, data, own), ("posterior mean", mean, grey)]
+    bottom = [("a draw", draws[0], grey), ("another draw", draws[1], grey)]
+    if truth is None:
+        top = top[1:]
+    else:
+        bottom.append(("error of the mean", error[0], spread))
+    top.append(("standard deviation", sd, spread))
+    bottom.append(("width of 90 % interval", width, wide))
+    columns = len(top)
+    aspect = mean.shape[0] / mean.shape[1]
+    figure, grid = _canvas(columns, 2, [0.08] + [1] * columns + [0.08], aspect)
+    for row, panels in enumerate((top, bottom)):
+        for column, panel in enumerate(panels):
+            _panel(figure, grid[row, column + 1], *panel)
+    _bar(figure, grid[:, 0], grey, "object", left=True)
+    _bar(figure, grid[0, -1], spread, "sd" if truth is None else "sd, error")
+    _bar(figure, grid[1, -1], wide, "width")
+    return figure
+
+
+# ---- complex objects -----------------------------------------------------------------------------
+
+
+def _complex_overview(
+    truth: np.ndarray | None,
+    data: np.ndarray,
+    draws: Sequence[np.ndarray],
+    mean: np.ndarray,
+    sd: np.ndarray,
+    width: np.ndarray,
+    data_title: str,
+) -> Figure:
+    """Amplitudes, phases, and a last row of how sure both are; five columns in each."""
+    draws = [(name, draws[i % len(draws)]) for i, name in enumerate(_DRAWS)]
+    objects = [("posterior mean", mean), *draws]
+    if truth is not None:
+        objects = [("truth", truth), *objects[:3]]
+    figure, grid = _canvas(5, 3, [0.08] + [1] * 5, mean.shape[0] / mean.shape[1], under=0.45)
+    _panel(figure, grid[2, 1], data_title, data, _scale([data], _GREY))
+    parts = (np.abs, "amplitude", "amplitude"), (np.angle, "phase", "phase / rad")
+    for row, (part, name, unit) in enumerate(parts):
+        pictures = [part(o) for _, o in objects]
+        scale = _phase_scale(pictures) if name == "phase" else _scale(pictures, _GREY)
+        error = [] if truth is None else [_ERRORS[name](mean, truth)]
+        spread = _scale([sd[row], *error], _SPREAD, zero=True)
+        wide = _scale([width[row]], _WIDTH, zero=True)
+        panels = [(heading, p, scale) for (heading, _), p in zip(objects, pictures)]
+        panels += [("error of the mean", e, spread) for e in error]
+        for column, (heading, picture, colours) in enumerate(panels):
+            _panel(figure, grid[row, column + 1], "" if row else heading, picture, colours)
+        _bar(figure, grid[row, 0], scale, unit, left=True)
+        for column, (heading, picture, colours) in enumerate(
+            ((f"sd of {name}", sd[row], spread), (f"90 % width, {name}", width[row], wide))
+        ):
+            axes = _panel(figure, grid[2, 2 + 2 * row + column], heading, picture, colours)
+            _bar_under(figure, axes, colours)
+    return figure
+
+
+def _phase_scale(phases: Sequence[np.ndarray]) -> ScalarMappable:
+    """Symmetric; short of the whole circle, the two ends of the colours must not look alike."""
+    largest = np.quantile(np.abs(np.concatenate([np.ravel(p) for p in phases])), 0.995)
+    limit = min(1.5 * largest, np.pi)
+    return ScalarMappable(Normalize(-limit, limit), mpl.colormaps[_PHASE])
+
+
+# ---- parts ---------------------------------------------------------------------------------------
+
+
+def _canvas(
+    panels: int, rows: int, ratios: Sequence[float], aspect: float, under: float = 0.0
+) -> tuple[Figure, GridSpec]:
+    """A figure of square panels; `under`: inches left free below them."""
+    width = _INCH * sum(ratios) + 0.1 * _INCH * len(ratios) + 1.2
+    height = rows * (_INCH * aspect + 0.3) + 0.55 + under
+    figure = Figure(figsize=(width, height))
+    grid = GridSpec(
+        rows,
+        len(ratios),
+        figure,
+        width_ratios=ratios,
+        left=0.65 / width,
+        right=1 - 0.65 / width,
+        bottom=(0.12 + under) / height,
+        top=1 - 0.62 / height,
+        wspace=0.1 * len(ratios) / sum(ratios),
+        hspace=0.16 / aspect,
+    )
+    return figure, grid
+
+
+def _scale(pictures: Sequence[np.ndarray], colours: str, zero: bool = False) -> ScalarMappable:
+    """One colour scale for all: the range without the extreme half per cent at each end."""
+    values = np.concatenate([np.ravel(p) for p in pictures])
+    low, high = np.quantile(values, [0.005, 0.995])
+    return ScalarMappable(Normalize(0 if zero else low, high), mpl.colormaps[colours])
+
+
+def _panel(
+    figure: Figure, place: SubplotSpec, title: str, picture: np.ndarray, scale: ScalarMappable
+) -> Axes:
+    axes = figure.add_subplot(place)
+    axes.imshow(picture, norm=scale.norm, cmap=scale.cmap, interpolation="nearest")
+    axes.set_title(title, fontsize=9, pad=4)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return axes
+
+
+def _bar(
+    figure: Figure, place: SubplotSpec, scale: ScalarMappable, label: str, left: bool = False
+) -> None:
+    axes = figure.add_subplot(place)
+    bar = figure.colorbar(scale, cax=axes, ticklocation="left" if left else "right")
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.ax.locator_params(nbins=5)
+    bar.outline.set_visible(False)
+
+
+def _bar_under(figure: Figure, axes: Axes, scale: ScalarMappable) -> None:
+    place = axes.inset_axes([0, -0.08, 1, 0.05])
+    bar = figure.colorbar(scale, cax=place, orientation="horizontal")
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.ax.locator_params(nbins=5)
+    bar.outline.set_visible(False)

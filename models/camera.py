@@ -385,6 +385,7 @@ def _edges(full_well: int, bits: int) -> tuple[np.ndarray, np.ndarray]:
     return whole, (numerator - whole * 2 * top) / (2 * top)
 
 
+@partial(jax.jit, static_argnames="start")
 def _log_saturated(saturated: jax.Array, start: int, lam: jax.Array) -> jax.Array:
     """log P(N >= start), if any pixel asks for it."""
     tail = partial(poisson_log_interval, start, jnp.inf, lam, UNBOUNDED)

@@ -63,6 +63,7 @@ def _tail_series() -> list[float]:
 _TAIL_SERIES = _tail_series()
 
 
+@jax.jit
 def poisson_log_pmf(k: jax.Array, lam: jax.Array) -> jax.Array:
     """Log-probability of `k` electrons where `lam` are expected (eq:poisson).
 
@@ -79,6 +80,7 @@ def poisson_log_pmf(k: jax.Array, lam: jax.Array) -> jax.Array:
     return _from_dark(_log_pmf_of, (k,), lam)
 
 
+@partial(jax.jit, static_argnames="width")
 def poisson_log_interval(lo: jax.Array, hi: jax.Array, lam: jax.Array, width: int) -> jax.Array:
     """Log-probability that the electron count lies in lo..hi, both ends included.
 
@@ -103,6 +105,7 @@ def poisson_log_interval(lo: jax.Array, hi: jax.Array, lam: jax.Array, width: in
     return jnp.where(empty, -jnp.inf, value)
 
 
+@partial(jax.jit, static_argnames=("read_noise", "full_well"))
 def noisy_count_log_pdf(
     z: jax.Array, lam: jax.Array, read_noise: float, full_well: int
 ) -> jax.Array:
@@ -119,6 +122,7 @@ def noisy_count_log_pdf(
     return _from_dark(partial(_log_noisy, float(read_noise), int(full_well)), (z,), lam)
 
 
+@partial(jax.jit, static_argnames=("step", "read_noise", "full_well"))
 def noisy_count_log_interval(
     edges: tuple[jax.Array, jax.Array],
     step: float,
@@ -227,7 +231,7 @@ def _stirling(h: jax.Array) -> jax.Array:
     inverse = 1 / h
     square = inverse * inverse
     total = jnp.zeros_like(h)
-    for coefficient in reversed(_STIRLING):
+    for coefficient in reversed(_STIRLING[:3] if h.dtype == jnp.float32 else _STIRLING):
         total = total * square + coefficient
     return total * inverse
 
@@ -236,8 +240,8 @@ def _rising(h: jax.Array) -> jax.Array:
     """(h + 8)^8 / ((n + 1) ... (n + 8)), h = n + 1/2."""
     product = jnp.ones_like(h)
     for i in range(_SHIFT):
-        product = product * ((h + _SHIFT) / (h + (i + 0.5)))
-    return product
+        product = product * (h + (i + 0.5))
+    return (h + _SHIFT) ** _SHIFT / product
 
 
 def _log_quotient(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -325,14 +329,14 @@ def _log_sum(
     index = _row(np.arange(min(width, nodes)), count)
     m = jnp.minimum(first + index, last)
     weight = (index < count).astype(count.dtype)
-    ends = jnp.zeros_like(count)
     if width > nodes:
         many = count > nodes
         node, node_weight = (_row(a, count) for a in leggauss(nodes))
         m = jnp.where(many, (first + last) / 2 + count / 2 * node, m)
         weight = jnp.where(many, count / 2 * node_weight, weight)
-        ends = _euler_maclaurin(terms, last + 0.5) - _euler_maclaurin(terms, first - 0.5)
-        ends = jnp.where(many, ends, 0)
+        ends = jnp.where(many, _euler_maclaurin(terms, first, last), 0)
+    else:
+        ends = jnp.zeros_like(count)
     m = jnp.where(empty, 0, m)
     total = jnp.sum(weight * jnp.exp(terms.log(m)), axis=-1, keepdims=True) + ends
     return jnp.where(empty, _NEVER, jnp.log(jnp.where(empty, 1, total)))
@@ -351,13 +355,19 @@ def _window(
     return first, last
 
 
-def _euler_maclaurin(terms: _Terms, m: jax.Array) -> jax.Array:
-    """What the end of an integral at m lacks of the sum: -f'/24 + 7 f"'/5760 - ..., f = e^term."""
-    s = terms.slope(m)
-    c = terms.slope(m + 0.5) - terms.slope(m - 0.5)
-    s2 = s * s
+def _euler_maclaurin(terms: _Terms, first: jax.Array, last: jax.Array) -> jax.Array:
+    """What the integral from first - 1/2 to last + 1/2 lacks of the sum of f = exp(terms.log).
+
+    At each end -f'/24 + 7 f^(3)/5760 - 31 f^(5)/967680, from the slope of log f and its change.
+    """
+    ends = jnp.concatenate([first - 0.5, last + 0.5], axis=-1)
+    before, s, after = jnp.split(
+        terms.slope(jnp.concatenate([ends - 0.5, ends, ends + 0.5], axis=-1)), 3, axis=-1
+    )
+    s2, c = s * s, after - before
     series = 1 / 24 - 7 / 5760 * (s2 + 3 * c) + 31 / 967680 * s2 * (s2 + 10 * c)
-    return -s * series * jnp.exp(terms.log(m))
+    side = _row(np.array([1.0, -1.0]), ends)
+    return jnp.sum(side * s * series * jnp.exp(terms.log(ends)), axis=-1, keepdims=True)
 
 
 def _row(values: np.ndarray, like: jax.Array) -> jax.Array:
@@ -398,14 +408,24 @@ def _log_noisy_step(
     data = tuple(d[..., None] for d in data)
     whole, fraction, no_lower, no_upper = data
 
-    def log_response(n: jax.Array) -> Callable[[jax.Array], jax.Array]:
+    def response(n: jax.Array) -> _Terms:
         """m -> log P(recorded in this step | n + m electrons)."""
-        offset = (whole - n) + fraction
-        return lambda m: _log_step((offset - m) / noise, step / noise, no_lower, no_upper)
+        offset, length = (whole - n) + fraction, step / noise
 
-    body = _log_step_body(step, noise, full_well, data, lam[..., None], log_response)
+        def log(m: jax.Array) -> jax.Array:
+            return _log_step((offset - m) / noise, length, no_lower, no_upper)
+
+        def slope(m: jax.Array) -> jax.Array:
+            below, above = _ends((offset - m) / noise, length, no_lower, no_upper)
+            value = log(m)
+            rise, fall = (jnp.exp(_log_normal(u) - value) for u in (below, above))
+            return (rise - fall) / noise
+
+        return _Terms(log, slope)
+
+    body = _log_step_body(step, noise, full_well, data, lam[..., None], response)
     full = jnp.full_like(body, full_well)
-    at_full_well = log_response(full)(jnp.zeros_like(full))
+    at_full_well = response(full).log(jnp.zeros_like(full))
     near = no_upper | (whole + step > full_well - _saturation_reach(noise, full_well))
     return _add_saturated(body[..., 0], at_full_well[..., 0], near, full_well, lam)
 
@@ -416,7 +436,7 @@ def _log_step_body(
     full_well: int,
     data: tuple[jax.Array, ...],
     lam: jax.Array,
-    log_response: Callable,
+    response: Callable[[jax.Array], _Terms],
 ) -> jax.Array:
     """The sum over N < full_well; steps much longer than the noise are summed in three pieces."""
     whole, fraction, no_lower, no_upper = data
@@ -430,11 +450,11 @@ def _log_step_body(
         peak = jnp.clip(mode, jnp.minimum(start, full_well - 1), jnp.maximum(stop, 0))
         start = jnp.maximum(start, jnp.floor(peak - width))
         stop = jnp.minimum(stop, jnp.ceil(peak + width))
-        pmf, response = _pmf_terms(peak, lam), log_response(peak)
-        at_peak = response(jnp.zeros_like(peak))
+        pmf, recorded = _pmf_terms(peak, lam), response(peak)
+        at_peak = recorded.log(jnp.zeros_like(peak))
         terms = _Terms(
-            lambda m: pmf.log(m) + response(m) - at_peak,
-            lambda m: pmf.slope(m) + jax.jvp(response, (m,), (jnp.ones_like(m),))[1],
+            lambda m: pmf.log(m) + (recorded.log(m) - at_peak),
+            lambda m: pmf.slope(m) + recorded.slope(m),
         )
         most = int(min(full_well, width + 1.5 * reach + 7))
         total = _log_sum(terms, start - peak, stop - peak, _curvature(peak), most, _STEP_NODES)
@@ -449,14 +469,19 @@ def _log_step_body(
     start, stop = jnp.maximum(cut_lower + 1, 0), jnp.minimum(cut_upper, full_well - 1)
     middle = _log_span(start, jnp.maximum(start, stop), lam, UNBOUNDED)
     middle = jnp.where(stop < start, _NEVER, middle)
-    low = piece(bottom, cut_lower, 3 * reach)
-    high = piece(cut_upper + 1, top, 3 * reach)
-    return jnp.logaddexp(jnp.logaddexp(low, middle), high)
+    edges = piece(jnp.stack([bottom, cut_upper + 1]), jnp.stack([cut_lower, top]), 3 * reach)
+    return jnp.logaddexp(jnp.logaddexp(edges[0], middle), edges[1])
+
+
+def _ends(
+    u: jax.Array, length: float, no_lower: jax.Array, no_upper: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    return jnp.where(no_lower, -1e4, u), jnp.where(no_upper, 1e4, u + length)
 
 
 def _log_step(u: jax.Array, length: float, no_lower: jax.Array, no_upper: jax.Array) -> jax.Array:
     """log P(u < standard normal < u + length), either end open where told."""
-    below, above = jnp.where(no_lower, -1e4, u), jnp.where(no_upper, 1e4, u + length)
+    below, above = _ends(u, length, no_lower, no_upper)
     beyond_below, beyond_above = _log_normal_tail(jnp.abs(below)), _log_normal_tail(jnp.abs(above))
     near = jnp.maximum(beyond_below, beyond_above)
     gap = jnp.abs(beyond_below - beyond_above)
@@ -514,7 +539,7 @@ def _mode(z: jax.Array, lam: jax.Array, noise: float) -> jax.Array:
     for _ in range(4):
         omega = jnp.maximum(omega, tiny)
         omega = omega * (1 + (x - jnp.log(omega))) / (1 + omega)
-    return z - variance * jnp.log(jnp.maximum(omega, tiny) * (variance / lam))
+    return z - variance * (jnp.log(jnp.maximum(omega, tiny)) + jnp.log(variance / lam))
 
 
 def _saturation_reach(noise: float, full_well: int) -> float:

@@ -11,7 +11,7 @@ from PIL import Image
 from skimage.color import rgb2gray
 from skimage.transform import resize
 
-_FORMATS = ("PNG", "JPEG", "MPO")
+_FORMATS = ("PNG", "JPEG")
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _FULL_SCALE = {np.dtype(bool): 1, np.dtype("uint8"): 255, np.dtype("uint16"): 65535}
 _ROUNDING = 1e-6
@@ -27,7 +27,7 @@ def read_picture(path: str | os.PathLike, page: int | None = None) -> np.ndarray
     Raises FileNotFoundError; ValueError, in one sentence, for a file that is no picture, is
     truncated, is empty, or holds NaN or infinity, and for a page that is not there.
     """
-    path, key = _split_key(os.fspath(path))
+    path, key = split_key(os.fspath(path))
     if not os.path.exists(path):
         raise FileNotFoundError(f"no file {path}: give the path of a picture")
     if os.path.isdir(path):
@@ -36,6 +36,12 @@ def read_picture(path: str | os.PathLike, page: int | None = None) -> np.ndarray
         raise ValueError(f"page {page}: pages are counted from 0")
     picture = _checked(_reader(path, key)(path), path)
     return picture if page is None else _one_page(picture, page, path)
+
+
+def split_key(path: str) -> tuple[str, str | None]:
+    """The file, and the key behind `.npz:`, of a picture's path."""
+    head, mark, key = path.rpartition(".npz:")
+    return (f"{head}.npz", key) if mark and not os.path.exists(path) else (path, None)
 
 
 def to_unit_range(picture: np.ndarray) -> np.ndarray:
@@ -76,7 +82,7 @@ def to_grey(picture: np.ndarray) -> np.ndarray:
         return rgb2gray(picture[..., :3])
     if picture.ndim == 3:
         raise ValueError(f"the file holds {len(picture)} pages: choose one with --page")
-    raise ValueError(f"an array of shape {picture.shape} is no picture: give one of (height, width)")
+    raise ValueError(f"an array of shape {picture.shape} is no picture: give (height, width)")
 
 
 def fit_to(picture: np.ndarray, size: int) -> np.ndarray:
@@ -111,11 +117,6 @@ def replace_whole(path: str | os.PathLike, write: Callable[[str], object]) -> No
     partial = f"{os.fspath(path)}.part"
     write(partial)
     os.replace(partial, path)
-
-
-def _split_key(path: str) -> tuple[str, str | None]:
-    head, mark, key = path.rpartition(".npz:")
-    return (f"{head}.npz", key) if mark and not os.path.exists(path) else (path, None)
 
 
 def _reader(path: str, key: str | None) -> Callable[[str], np.ndarray]:
@@ -182,14 +183,15 @@ def _channels_last(array: np.ndarray, axes: str) -> np.ndarray:
 
 def _read_npy(path: str) -> np.ndarray:
     try:
-        return np.load(path, allow_pickle=False)
+        with open(path, "rb") as file:
+            return np.load(file, allow_pickle=False)
     except Exception as error:
         raise _damaged(path, error) from error
 
 
 def _read_npz(path: str, key: str | None) -> np.ndarray:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
             names = list(arrays)
             name = names[0] if key is None and len(names) == 1 else key
             if name in names:

@@ -1,0 +1,554 @@
+"""The command line: `posterior sample`, `posterior repeat`, `posterior demo`.
+
+A run is a folder: draws.nc, the maps as TIFF, figure.png and, written last, settings.json, from
+which `repeat` makes the same draws again. While it lasts its checkpoint lies in the same folder.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import numpy as np
+import typer
+
+from . import presets
+from .diagnostics.convergence import ess, rhat
+from .diagnostics.plots import align_phase, complex_maps, overview
+from .diagnostics.spread import interval
+from .draws import Draws, versions
+from .images import read_picture, replace_whole, split_key, write_tiff
+from .models.camera import Poisson
+from .models.optics import CONJUGATE_FLIP, Optics
+from .presets import APPLICATIONS, DENOISING, SAMPLERS, Question
+from .samplers import Ensemble, Sampler
+from .samplers.base import PopulationSampler
+from .sampling import NonFiniteError, sample
+
+SETTINGS, CHECKPOINT = "settings.json", "checkpoint"
+OUTPUTS = ("draws.nc", "mean.tif", "sd.tif") + (
+    "mean_amplitude.tif", "mean_phase.tif", "sd_amplitude.tif", "sd_phase.tif",
+    "figure.png", SETTINGS,
+)  # fmt: skip
+
+_LEVEL = 0.9
+_MIXED = 1.05
+_FEW = 100
+_TOO_NARROW = 0.85
+_APPROXIMATE = ("annealed-split", "ula")
+_REFUSED = (ValueError, NonFiniteError, OSError)
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Draw the posterior of an imaging problem: what a recording says, and how surely.",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """All that decides the draws of a run. None: not said; 0 bits: no ADC."""
+
+    problem: str
+    image: str | None = None
+    data: str | None = None
+    full_well: int | None = None
+    bits: int | None = None
+    sampler: str | None = None
+    draws: int | None = None
+    chains: int = 4
+    warmup: int | None = None
+    thin: int | None = None
+    seed: int = 0
+    size: int | None = None
+    prior: str | None = None
+    irradiance: float | None = None
+    page: int | None = None
+    oversampling: int | None = None
+
+    def resolved(self) -> "Options":
+        """With the defaults of problem and sampler filled in; refuses what cannot go together."""
+        application = _known("problem", self.problem, APPLICATIONS)
+        name = self.sampler or application.sampler
+        sampling = _known("sampler", name, SAMPLERS)
+        if (self.image is None) == (self.data is None):
+            raise ValueError("give either --image (a picture to record) or --data (a recording)")
+        if self.data is not None and self.full_well is None:
+            raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
+        simulated = self.image is not None
+        return dataclasses.replace(
+            self,
+            image=_absolute(self.image),
+            data=_absolute(self.data),
+            prior=_absolute(self.prior),
+            full_well=application.full_well if self.full_well is None else self.full_well,
+            bits=(application.bits if simulated else 0) if self.bits is None else self.bits,
+            sampler=name,
+            draws=sampling.draws if self.draws is None else self.draws,
+            thin=sampling.thin if self.thin is None else self.thin,
+        )
+
+
+# ---- commands ------------------------------------------------------------------------------------
+
+Count = Annotated[int | None, typer.Option(min=1)]
+Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+
+
+@app.command("sample")
+def sample_command(
+    problem: Annotated[str, typer.Argument(help=f"One of {', '.join(APPLICATIONS)}.")],
+    out: Out,
+    image: Annotated[str | None, typer.Option(help="A clean picture, to be recorded.")] = None,
+    data: Annotated[str | None, typer.Option(help="A recording: codes, or fractions of 1.")] = None,
+    full_well: Annotated[int | None, typer.Option(min=1, help="Electrons at saturation.")] = None,
+    bits: Annotated[int | None, typer.Option(min=0, max=16, help="Of the ADC; 0: none.")] = None,
+    sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,
+    draws: Annotated[int | None, typer.Option(min=1, help="Draws a chain.")] = None,
+    chains: Annotated[int, typer.Option(min=1)] = 4,
+    warmup: Annotated[int | None, typer.Option(min=0, help="Steps that tune the sampler.")] = None,
+    thin: Annotated[int | None, typer.Option(min=1, help="Steps from draw to draw.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 0,
+    size: Annotated[int | None, typer.Option(min=4, help="Pixels a side of the object.")] = None,
+    prior: Annotated[str | None, typer.Option(help="A picture, or a folder of them.")] = None,
+    irradiance: Annotated[float | None, typer.Option(help="Signal at a field of 1.")] = None,
+    page: Annotated[int | None, typer.Option(min=0, help="Of a file of many, from 0.")] = None,
+    oversampling: Annotated[int | None, typer.Option(min=1, help="Of the far field.")] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw the posterior of a picture that is recorded (--image), or of a recording (--data)."""
+    said = locals()
+    options = {field.name: said[field.name] for field in dataclasses.fields(Options)}
+    run(Options(**options), out, overwrite, quiet)
+
+
+@app.command("repeat")
+def repeat_command(
+    settings: Annotated[Path, typer.Argument(help="The settings.json of a finished run.")],
+    out: Out,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run again what settings.json says, on the same input: the same draws."""
+    earlier = _read_settings(settings)
+    run(Options(**earlier["options"]), out, overwrite, quiet, earlier)
+
+
+@app.command("demo")
+def demo_command(
+    out: Out = Path("out/demo"), overwrite: Overwrite = False, quiet: Quiet = False
+) -> None:
+    """Denoise a photograph and reconstruct a complex specimen, with figures and a report."""
+    demo(out, overwrite, quiet)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point: every error that a user can cause is one sentence and exit status 2."""
+    try:
+        status = app(arguments, prog_name="posterior", standalone_mode=False)
+    except _REFUSED as error:
+        status = _refuse(_sentence(error))
+    except Exception as error:
+        # What typer raises for a mistyped command has no public base class.
+        if not hasattr(error, "format_message"):
+            raise
+        status = _refuse(f"{error.format_message().rstrip('.')}; see posterior --help")
+    sys.exit(status)
+
+
+# ---- a run ---------------------------------------------------------------------------------------
+
+
+def run(
+    options: Options,
+    out: Path,
+    overwrite: bool = False,
+    quiet: bool = False,
+    earlier: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Sample, write the results to `out`, say what was found; returns the settings written.
+
+    A run that was killed goes on from its checkpoint. With `earlier`, settings of a finished run,
+    it refuses an input or a prior that has changed since. Raises as `sample` does, ValueError for
+    options that do not fit, and OSError if `out` cannot be written.
+    """
+    options, began = options.resolved(), time.perf_counter()
+    source = options.image or options.data
+    digest = _file_hash(source)
+    key_record, key_start, key_draws = jax.random.split(jax.random.key(options.seed), 3)
+    question = _question(options, key_record)
+    _refuse_changed(earlier, digest, question)
+    posterior = question.problem.condition(question.y)
+    sampler = SAMPLERS[options.sampler].build(posterior)
+    if isinstance(sampler, Ensemble):
+        sampler.size(posterior)
+    created = _prepare(out, overwrite)
+    try:
+        draws = sample(
+            posterior,
+            sampler,
+            key_draws,
+            chains=options.chains,
+            draws=options.draws,
+            warmup=options.warmup,
+            thin=options.thin,
+            start=presets.start_of(options.sampler, posterior, key_start),
+            progress=not quiet,
+            checkpoint=out / CHECKPOINT,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"interrupted: what is done is in {out / CHECKPOINT}, the same command goes on from it",
+            file=sys.stderr,
+        )
+        raise typer.Exit(130) from None
+    except ValueError:
+        if created and not any(out.iterdir()):
+            out.rmdir()
+        raise
+    summary = _summary(draws, question, options, sampler)
+    settings = {
+        "options": dataclasses.asdict(options),
+        "input": {"file": Path(source).name, "sha256": digest},
+        "prior": question.prior,
+        "irradiance": question.irradiance,
+        "sampler": draws.settings["sampler"],
+        "warmup": draws.settings["warmup"],
+        "results": summary.results,
+        "warnings": summary.warnings,
+        "seconds": round(time.perf_counter() - began, 1),
+        "versions": versions(),
+    }
+    _write(out, draws, question, summary, settings)
+    _tell(out, settings)
+    return settings
+
+
+def _question(options: Options, key: jax.Array) -> Question:
+    camera = Poisson(options.full_well, options.bits or None)
+    picture = read_picture(options.image or options.data, options.page)
+    given = {
+        name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
+    }
+    if options.data is not None:
+        return presets.record(options.problem, picture, camera, **given)
+    return presets.simulate(options.problem, picture, camera, key, **given)
+
+
+def _prepare(out: Path, overwrite: bool) -> bool:
+    """Make sure that `out` is a folder to write to, without results; whether it was made here."""
+    found = [name for name in OUTPUTS if (out / name).exists()]
+    unfinished = (out / CHECKPOINT).exists() and SETTINGS not in found
+    if found and not overwrite and not unfinished:
+        raise ValueError(
+            f"{out} already holds {found[0]}: give another --out, or --overwrite to replace it"
+        )
+    created = not out.exists()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ValueError(f"cannot write to {out} ({error.strerror}): give another --out") from error
+    return created
+
+
+def _refuse_changed(earlier: dict[str, Any] | None, digest: str, question: Question) -> None:
+    if earlier is None:
+        return
+    file = earlier["options"]["image"] or earlier["options"]["data"]
+    if earlier["input"]["sha256"] != digest:
+        raise ValueError(f"{file} has changed since the run: put the same file there")
+    if earlier["prior"] != question.prior:
+        changed = sorted(set(earlier["prior"].items()) ^ set(question.prior.items()))
+        raise ValueError(f"prior picture {changed[0][0]} has changed since the run: put it back")
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise FileNotFoundError(f"no file {path}: give the {SETTINGS} of a finished run")
+    fields = {f.name for f in dataclasses.fields(Options)}
+    try:
+        found = json.loads(path.read_text())
+        if set(found["options"]) != fields or not {"input", "prior"} <= set(found):
+            raise ValueError
+        found["input"]["sha256"]
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(
+            f"{path} is not the {SETTINGS} of a run: give one of this version"
+        ) from None
+    return found
+
+
+# ---- what the draws say --------------------------------------------------------------------------
+
+
+class Summary(NamedTuple):
+    """Draws (chains, draws, *shape) with what the data cannot tell aligned, and what they say.
+
+    `maps` are the pictures to write, by file name; `sd` and `width` are as `overview` takes them.
+    """
+
+    values: np.ndarray
+    mean: np.ndarray
+    sd: np.ndarray
+    width: np.ndarray
+    maps: dict[str, np.ndarray]
+    results: dict[str, float]
+    warnings: list[str]
+
+
+def _summary(draws: Draws, question: Question, options: Options, sampler: Sampler) -> Summary:
+    truth = question.truth
+    values = _aligned(draws.values, question.problem.likelihood.optics, truth)
+    mean = values.mean(axis=(0, 1))
+    results = {}
+    if truth is not None and options.problem == DENOISING:
+        results["psnr_data"] = _psnr(question.y, truth)
+    if np.iscomplexobj(mean):
+        maps = complex_maps(values, _LEVEL)
+        sd = np.stack([maps.sd_amplitude, maps.sd_phase])
+        width = np.stack([maps.width_amplitude, maps.width_phase])
+        pictures = {f"{n}.tif": getattr(maps, n) for n in maps._fields if "width" not in n}
+        turn = np.exp(-1j * np.angle(mean))
+        compared = {"amplitude": np.abs, "phase": lambda x: np.angle(x * turn)}
+    else:
+        low, high = interval(values, _LEVEL)
+        sd, width = values.std(axis=(0, 1)), high - low
+        pictures = {"mean.tif": mean, "sd.tif": sd}
+        compared = {"pixels": lambda x: x}
+    if truth is not None:
+        results["psnr_mean"] = _psnr(mean, truth)
+        for name, part in compared.items():
+            results[f"coverage_{name}"] = _coverage(part(values), part(truth))
+    results |= _convergence(values, sampler)
+    warnings = _warnings(results, options)
+    return Summary(values, mean, sd, width, pictures, results, warnings)
+
+
+def _aligned(values: np.ndarray, optics: Optics, truth: np.ndarray | None) -> np.ndarray:
+    """Draws that the data cannot tell apart, brought together: global phase, or twin image.
+
+    Then, where the truth is known, all of them are turned to it as one.
+    """
+    if np.iscomplexobj(values):
+        values = align_phase(values)
+        if truth is None:
+            return values
+        return values * np.exp(1j * np.angle(np.vdot(values.mean(axis=(0, 1)), truth)))
+    if CONJUGATE_FLIP not in optics.symmetries:
+        return values
+    values = _untwinned(values, values[0, 0])
+    values = _untwinned(values, values.mean(axis=(0, 1)))
+    is_twin = truth is not None and _nearer_twin(values.mean(axis=(0, 1)), truth)
+    return _twin(values) if is_twin else values
+
+
+def _untwinned(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Real draws, each turned by 180 degrees if that brings it nearer to `reference`."""
+    return np.array(
+        [[_twin(x) if _nearer_twin(x, reference) else x for x in chain] for chain in values]
+    )
+
+
+def _twin(x: np.ndarray) -> np.ndarray:
+    return np.flip(x, axis=(-2, -1))
+
+
+def _nearer_twin(x: np.ndarray, reference: np.ndarray) -> bool:
+    return bool(np.vdot(_twin(x), reference) > np.vdot(x, reference))
+
+
+def _psnr(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """In dB, the peak being 1, or the largest amplitude of a complex truth."""
+    peak = np.abs(truth).max() if np.iscomplexobj(truth) else 1.0
+    return float(10 * np.log10(peak**2 / np.mean(np.abs(estimate - truth) ** 2)))
+
+
+def _coverage(values: np.ndarray, truth: np.ndarray) -> float:
+    low, high = interval(values, _LEVEL)
+    return float(np.mean((low <= truth) & (truth <= high)))
+
+
+def _convergence(values: np.ndarray, sampler: Sampler) -> dict[str, float]:
+    """Largest R-hat and smallest effective sample size of all pixels (Re and Im apart)."""
+    if len(values) < 2 or values.shape[1] < 4:
+        return {}
+    parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
+    # Chains that never move have no R-hat: as bad as can be.
+    with np.errstate(all="ignore"):
+        worst = [rhat(p) for p in parts]
+        found = {"rhat": float(np.max(np.where(np.isnan(worst), np.inf, worst)))}
+        # Particles have no order: counting their correlation would say nothing.
+        if not isinstance(sampler, PopulationSampler):
+            found["ess"] = float(np.min(np.nan_to_num([ess(p) for p in parts])))
+    return found
+
+
+def _warnings(results: dict[str, float], options: Options) -> list[str]:
+    """What stands against believing the intervals."""
+    said = []
+    if "rhat" not in results:
+        said.append(
+            "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4"
+        )
+    elif results["rhat"] > _MIXED:
+        said.append(
+            f"the chains have not mixed: R-hat is {results['rhat']:.2f}, above {_MIXED}; do not "
+            "trust the intervals, give more --thin, --draws or --warmup"
+        )
+    if results.get("ess", _FEW) < _FEW:
+        said.append(
+            f"only {results['ess']:.0f} effective draws in the worst pixel: the ends of its "
+            f"interval are rough below {_FEW}, give more --draws"
+        )
+    if options.sampler in _APPROXIMATE:
+        said.append(f"{options.sampler} is approximate: check its intervals against mala or nuts")
+    for name, value in results.items():
+        if name.startswith("coverage_") and value < _TOO_NARROW:
+            said.append(
+                f"the intervals are too narrow: they hold the truth in {value:.0%} of the "
+                f"{name.removeprefix('coverage_')}, not {_LEVEL:.0%}; the prior does not describe "
+                "this picture, or the chains have not mixed"
+            )
+    return said
+
+
+# ---- what is written and said --------------------------------------------------------------------
+
+
+def _write(
+    out: Path, draws: Draws, question: Question, summary: Summary, settings: dict[str, Any]
+) -> None:
+    """All results, each there whole or not at all, settings.json last."""
+    problem = settings["options"]["problem"]
+    draws.save(out / "draws.nc")
+    for name, picture in summary.maps.items():
+        write_tiff(out / name, picture)
+    shown, heading = presets.picture_of(problem, question.y)
+    replace_whole(
+        out / "figure.png",
+        lambda part: overview(
+            part,
+            question.truth,
+            shown,
+            _few_draws(summary.values),
+            summary.mean,
+            summary.sd,
+            summary.width,
+            data_title=heading,
+            data_is_object=problem == DENOISING,
+            title=_headline(settings),
+        ),
+    )
+    written = {"draws.nc", "figure.png", SETTINGS, *summary.maps}
+    for name in set(OUTPUTS) - written:
+        (out / name).unlink(missing_ok=True)
+    text = json.dumps(_json(settings), indent=2)
+    replace_whole(out / SETTINGS, lambda part: Path(part).write_text(text + "\n"))
+    shutil.rmtree(out / CHECKPOINT)
+
+
+def _few_draws(values: np.ndarray) -> list[np.ndarray]:
+    """Four draws, as far apart as there are chains and draws."""
+    chains, draws = values.shape[:2]
+    return [values[i % chains, -1 - (i * draws // 4)] for i in range(4)]
+
+
+def _json(value: Any) -> Any:
+    """JSON has no infinity: such a number is written as null."""
+    if isinstance(value, dict):
+        return {k: _json(v) for k, v in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _headline(settings: dict[str, Any]) -> str:
+    options, results = settings["options"], settings["results"]
+    parts = [f"{options['problem']}, full well {options['full_well']} electrons"]
+    if "psnr_data" in results:
+        parts.append(f"recording {results['psnr_data']:.1f} dB")
+    if "psnr_mean" in results:
+        parts.append(f"mean {results['psnr_mean']:.1f} dB")
+    return ", ".join(parts)
+
+
+def _tell(out: Path, settings: dict[str, Any]) -> None:
+    options, results = settings["options"], settings["results"]
+    print(
+        f"{options['problem']} of {settings['input']['file']}: {options['sampler']}, "
+        f"{options['chains']} chains x {options['draws']} draws, {settings['seconds']:.0f} s"
+    )
+    for line in _lines(results):
+        print(line)
+    for warning in settings["warnings"]:
+        print(f"warning: {warning}")
+    print(f"written to {out}")
+
+
+def _lines(results: dict[str, float]) -> list[str]:
+    """The numbers of a run in words."""
+    lines = []
+    if "psnr_data" in results:
+        lines.append(f"PSNR of the recording: {results['psnr_data']:.2f} dB")
+    if "psnr_mean" in results:
+        lines.append(f"PSNR of the posterior mean: {results['psnr_mean']:.2f} dB")
+    lines += [
+        f"truth inside the {_LEVEL:.0%} interval: {value:.1%} of the "
+        f"{name.removeprefix('coverage_')}"
+        for name, value in results.items()
+        if name.startswith("coverage_")
+    ]
+    if "rhat" in results:
+        lines.append(f"R-hat, largest of all pixels: {results['rhat']:.3f}")
+    if "ess" in results:
+        lines.append(f"effective draws, smallest of all pixels: {results['ess']:.0f}")
+    return lines
+
+
+def _known(kind: str, name: str, table: dict[str, Any]) -> Any:
+    if name not in table:
+        raise ValueError(f"unknown {kind} {name!r}: use one of {', '.join(table)}")
+    return table[name]
+
+
+def _absolute(path: str | None) -> str | None:
+    return None if path is None else os.path.abspath(path)
+
+
+def _file_hash(path: str) -> str:
+    file = split_key(path)[0]
+    if not os.path.isfile(file):
+        raise FileNotFoundError(f"no file {file}: give the path of a picture")
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _refuse(sentence: str) -> int:
+    print(f"posterior: {sentence}", file=sys.stderr)
+    return 2
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(str(error).split())
+
+
+def demo(out: Path, overwrite: bool, quiet: bool) -> None:
+    pass
+
+
+if __name__ == "__main__":
+    main()

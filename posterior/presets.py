@@ -1,0 +1,400 @@
+"""Three applications, ready to ask: denoising, phase retrieval, Fourier ptychography.
+
+Each takes a picture of the object, which a simulated camera records, or a recording, and gives the
+`Problem`, the data and, if it is known, the truth. The prior is a Gaussian field fitted to pictures
+of other things. At the end, the samplers by name.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import blackjax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from skimage import data as shipped
+
+from .images import fit_to, read_picture, to_grey, to_unit_range
+from .models.camera import Poisson
+from .models.likelihood import IntensityLikelihood, LinearLikelihood
+from .models.optics import Fourier, FourierPtychography, Identity, Optics
+from .models.priors import GaussianField
+from .problem import Posterior, Problem
+from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
+from .sampling import sample
+
+DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
+
+# Those that scikit-image carries in itself, and reads without a download.
+PRIOR_PICTURES = ("astronaut", "brick", "camera", "cell", "chelsea", "coffee") + (
+    "coins", "grass", "gravel", "moon", "rocket",
+)  # fmt: skip
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".npz")
+_GRID = 7
+_PITCH = 0.64  # of the pupil's radius: neighbouring pupils share 60 % of their area
+_HEADROOM = 4  # standard deviations of photon noise below the full well
+_LEAST_SIDE = 4
+_LEAST_FIT = 8  # the smallest picture a spectrum is fitted to
+_SAME_PICTURE = 0.99  # correlation
+
+
+class Application(NamedTuple):
+    """What an application takes where the user says nothing; `size` in pixels, 0 bits: no ADC."""
+
+    size: int
+    full_well: int
+    bits: int
+    sampler: str
+
+
+APPLICATIONS = {
+    DENOISING: Application(128, 100, 8, "mala"),
+    PHASE_RETRIEVAL: Application(64, 1_000_000, 16, "annealed"),
+    PTYCHOGRAPHY: Application(64, 10_000, 12, "annealed"),
+}
+
+
+class Question(NamedTuple):
+    """A problem and its recording `y`; `truth` is the object, where it is known.
+
+    `irradiance` is None for denoising; `prior` names the pictures that the prior was fitted to,
+    each with the SHA-256 of what was fitted.
+    """
+
+    problem: Problem
+    y: np.ndarray
+    truth: np.ndarray | None
+    irradiance: float | None
+    prior: dict[str, str]
+
+
+# ---- from a picture, or from a recording ---------------------------------------------------------
+
+
+def simulate(
+    name: str,
+    picture: np.ndarray,
+    camera: Poisson,
+    key: jax.Array,
+    *,
+    size: int | None = None,
+    prior: str | None = None,
+    irradiance: float | None = None,
+    oversampling: int | None = None,
+) -> Question:
+    """Record the object in `picture` with a simulated camera.
+
+    `picture` is an array as `read_picture` gives it; for ptychography a complex one is the object
+    itself, and a grey one becomes one by `complex_object`. `size` None: the application's own, or
+    the picture's if that is smaller. `prior`: a picture or a folder of them, None for those of
+    scikit-image. `irradiance` None: the brightest expected pixel just meets the full well, with
+    four standard deviations of its photon noise to spare. Raises ValueError on what does not fit.
+    """
+    truth = _object(name, picture, size)
+    optics = _optics(name, truth.shape, oversampling)
+    field, names = _fitted_prior(name, truth.shape, prior, truth)
+    x = jnp.asarray(truth, field.dtype)
+    if irradiance is None and name != DENOISING:
+        irradiance = _full_exposure(float(jnp.max(jnp.abs(optics(x)) ** 2)), camera)
+    problem = _problem(optics, camera, field, irradiance)
+    y = np.asarray(problem.likelihood.simulate(key, x))
+    return Question(problem, y, truth, irradiance, names)
+
+
+def record(
+    name: str,
+    data: np.ndarray,
+    camera: Poisson,
+    *,
+    size: int | None = None,
+    prior: str | None = None,
+    irradiance: float | None = None,
+    oversampling: int | None = None,
+) -> Question:
+    """Take a recording: integer codes of the ADC, or floats in electrons / full well.
+
+    Denoising: (h, w). Phase retrieval: (r h, r w), r the oversampling, zero frequency at index 0.
+    Ptychography: (49, n, n), the grid of `aperture_grid` row by row; `size` is the object's.
+    `irradiance` None: from the energy in the data and that of the prior; for phase retrieval
+    sum(y) / (pixels (mean^2 + variance)), by Parseval. Raises ValueError on what does not fit.
+    """
+    y = _normalised(data, camera)
+    optics = _optics(name, _object_shape(name, y, size, oversampling), oversampling)
+    camera.check(y)
+    field, names = _fitted_prior(name, optics.in_shape, prior, None)
+    if irradiance is None and name != DENOISING:
+        irradiance = _irradiance_of(y, optics, field)
+    return Question(_problem(optics, camera, field, irradiance), y, None, irradiance, names)
+
+
+def _problem(
+    optics: Optics, camera: Poisson, prior: GaussianField, irradiance: float | None
+) -> Problem:
+    if not isinstance(optics, Identity):
+        return Problem(IntensityLikelihood(optics, camera, irradiance), prior)
+    if irradiance is not None:
+        raise ValueError(f"irradiance {irradiance}: {DENOISING} has none, leave it out")
+    return Problem(LinearLikelihood(optics, camera), prior)
+
+
+# ---- the object ----------------------------------------------------------------------------------
+
+
+def complex_object(grey: np.ndarray) -> np.ndarray:
+    """A thin specimen from a grey picture p in 0..1: amplitude 0.3 + 0.7 p, phase of its mirror.
+
+    phase = pi/2 (p mirrored left-right - 1/2), from -pi/4 to pi/4.
+    """
+    phase = np.pi / 2 * (grey[:, ::-1] - 0.5)
+    return (0.3 + 0.7 * grey) * np.exp(1j * phase)
+
+
+def _object(name: str, picture: np.ndarray, size: int | None) -> np.ndarray:
+    if size is not None and size < _LEAST_SIDE:
+        raise ValueError(f"size {size}: give {_LEAST_SIDE} or more")
+    if not np.iscomplexobj(picture):
+        return _object_of_grey(name, to_grey(to_unit_range(picture)), size)
+    if name != PTYCHOGRAPHY:
+        raise ValueError(f"the picture is complex: {name} is of real objects, save its modulus")
+    if picture.ndim != 2:
+        raise ValueError(f"a complex object of shape {picture.shape}: give (height, width)")
+    return picture if size is None else fit_to(picture, size)
+
+
+def _object_of_grey(name: str, grey: np.ndarray, size: int | None) -> np.ndarray:
+    if grey.min() == grey.max():
+        raise ValueError(f"the picture has the value {grey.max():.3g} everywhere: give another")
+    grey = fit_to(grey, min(APPLICATIONS[name].size, *grey.shape) if size is None else size)
+    return complex_object(grey) if name == PTYCHOGRAPHY else grey
+
+
+# ---- the recording -------------------------------------------------------------------------------
+
+
+def _normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
+    if data.dtype == bool:
+        data = data.astype(np.uint8)
+    if not np.issubdtype(data.dtype, np.integer):
+        return data
+    if camera.bits is None:
+        raise ValueError(f"the recording holds {data.dtype} codes: say how many bits with --bits")
+    return np.asarray(camera.from_codes(data))
+
+
+def _object_shape(
+    name: str, y: np.ndarray, size: int | None, oversampling: int | None
+) -> tuple[int, int]:
+    if name == PTYCHOGRAPHY:
+        return _shape_from_stack(y, size)
+    if size is not None:
+        raise ValueError(f"size {size}: a recording has its own size, leave out --size")
+    if y.ndim != 2:
+        raise ValueError(f"a recording of shape {y.shape}: give (height, width), one grey page")
+    if min(y.shape) < _LEAST_SIDE:
+        raise ValueError(f"a recording of shape {y.shape}: give {_LEAST_SIDE} pixels a side")
+    if name == DENOISING:
+        return y.shape
+    factor = oversampling or 2
+    if any(n % factor for n in y.shape):
+        raise ValueError(f"a recording of shape {y.shape}: oversampling {factor} must divide it")
+    _refuse_centred(y)
+    return tuple(n // factor for n in y.shape)
+
+
+def _refuse_centred(y: np.ndarray) -> None:
+    brightest = tuple(int(i) for i in np.unravel_index(np.argmax(y), y.shape))
+    if all(n / 4 < i < 3 * n / 4 for i, n in zip(brightest, y.shape)):
+        raise ValueError(
+            f"the brightest pixel is at {brightest}, in the middle: bring the zero frequency to "
+            "index 0 with numpy.fft.ifftshift"
+        )
+
+
+def _shape_from_stack(y: np.ndarray, size: int | None) -> tuple[int, int]:
+    if y.ndim != 3 or len(y) != _GRID**2 or y.shape[1] != y.shape[2]:
+        raise ValueError(
+            f"a recording of shape {y.shape}: give ({_GRID**2}, n, n), one square page a LED"
+        )
+    low = y.shape[1]
+    size = 4 * low if size is None else size
+    if size != _upsampling(size) * low:
+        raise ValueError(
+            f"size {size} from pages of {low}x{low}: the object is 4 times as wide, or twice if "
+            "that is under 64; give --size"
+        )
+    return size, size
+
+
+def picture_of(name: str, y: np.ndarray) -> tuple[np.ndarray, str]:
+    """A recording (h, w) to look at, and its heading: logarithm, or mosaic of amplitudes."""
+    if name == PHASE_RETRIEVAL:
+        faintest = np.min(y[y > 0], initial=1.0)
+        return np.log10(np.maximum(np.fft.fftshift(y), faintest)), "recording (log)"
+    if name == PTYCHOGRAPHY:
+        rows = np.sqrt(y).reshape(_GRID, _GRID, *y.shape[1:])
+        # Every LED on its own scale: the outer ones are dark fields.
+        rows = rows / np.maximum(rows.max(axis=(2, 3), keepdims=True), 1e-12)
+        framed = np.pad(rows, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=1.0)
+        return np.block([list(row) for row in framed])[
+            :-1, :-1
+        ], f"recordings, {_GRID}x{_GRID} LEDs"
+    return y, "recording"
+
+
+# ---- optics and exposure -------------------------------------------------------------------------
+
+
+def aperture_grid(size: int) -> tuple[np.ndarray, float]:
+    """Centres (49, 2) and radius, in Fourier samples, of the largest synthetic aperture.
+
+    A 7x7 grid of pupils whose neighbours share about 60 % of their area, inside the band of an
+    object of `size` and of its camera (upsampling 4; 2 under 64). Raises ValueError for a size that
+    is too small, or that the upsampling does not divide.
+    """
+    upsampling = _upsampling(size)
+    if size < 16 or size % upsampling:
+        raise ValueError(f"size {size}: {PTYCHOGRAPHY} needs a multiple of {upsampling}, from 16")
+    reach = _GRID // 2
+    largest = min((size // 2 - 1) / (1 + reach * _PITCH), size / upsampling / 2 - 0.1)
+    pitch = max(1, math.floor(_PITCH * largest))
+    offsets = pitch * (np.arange(_GRID) - reach)
+    centres = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), -1).reshape(-1, 2)
+    return centres, pitch / _PITCH
+
+
+def _upsampling(size: int) -> int:
+    return 4 if size >= 64 else 2
+
+
+def _optics(name: str, shape: tuple[int, int], oversampling: int | None) -> Optics:
+    if oversampling is not None and name != PHASE_RETRIEVAL:
+        raise ValueError(f"oversampling {oversampling} is for {PHASE_RETRIEVAL}: leave it out")
+    if name == DENOISING:
+        return Identity(shape)
+    if name == PHASE_RETRIEVAL:
+        return Fourier(shape, oversampling=2 if oversampling is None else oversampling)
+    if shape[0] != shape[1]:
+        raise ValueError(f"an object of shape {shape}: {PTYCHOGRAPHY} needs a square, give --size")
+    centres, radius = aperture_grid(shape[0])
+    return FourierPtychography.from_radius(shape, centres, radius, _upsampling(shape[0]))
+
+
+def _full_exposure(brightest: float, camera: Poisson) -> float:
+    """Irradiance at which the brightest pixel (at irradiance 1) is expected just below full."""
+    # e + k sigma0 sqrt(e) = 1 is quadratic in sqrt(e).
+    half = _HEADROOM * camera.sigma0 / 2
+    return (math.sqrt(half**2 + 1) - half) ** 2 / brightest
+
+
+def _irradiance_of(y: np.ndarray, optics: Optics, prior: GaussianField) -> float:
+    """The energy of the data over the energy expected of the prior at irradiance 1."""
+    total = float(np.sum(y, dtype=float))
+    if total <= 0:
+        raise ValueError("the recording is dark everywhere: there is nothing to reconstruct from")
+    if isinstance(optics, Fourier):
+        power = np.asarray(jnp.abs(prior.mean) ** 2 + prior.scale**2, float)
+        return total / float(np.sum(power))
+    draws = jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 64))
+    energy = jnp.sum(jnp.abs(jax.vmap(optics)(draws)) ** 2) / len(draws)
+    return total / float(energy)
+
+
+# ---- the prior -----------------------------------------------------------------------------------
+
+
+def _fitted_prior(
+    name: str, shape: tuple[int, int], path: str | None, truth: np.ndarray | None
+) -> tuple[GaussianField, dict[str, str]]:
+    """A Gaussian field fitted to pictures, the truth itself left out; their names and hashes."""
+    found = _shipped_pictures() if path is None else _pictures_at(path)
+    side = max(*shape, _LEAST_FIT)
+    objects = {}
+    for label, picture in found.items():
+        fitted = _prior_object(name, label, picture, side)
+        if truth is None or not _same_picture(fitted, truth):
+            objects[label] = fitted
+    if not objects:
+        raise ValueError(f"{path} holds only the picture that is asked for: give a prior of others")
+    kind = complex if name == PTYCHOGRAPHY else float
+    field = GaussianField.fit(list(objects.values()), shape, kind)
+    return field, {k: hashlib.sha256(v.tobytes()).hexdigest() for k, v in objects.items()}
+
+
+def _shipped_pictures() -> dict[str, np.ndarray]:
+    return {name: getattr(shipped, name)() for name in PRIOR_PICTURES}
+
+
+def _pictures_at(path: str) -> dict[str, np.ndarray]:
+    folder = Path(path)
+    if not folder.is_dir():
+        return {folder.name: read_picture(path)}
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES)
+    if not files:
+        raise ValueError(f"prior {path} holds no pictures: give PNG, JPEG, TIFF, NPY or NPZ files")
+    return {f.name: read_picture(f) for f in files}
+
+
+def _prior_object(name: str, label: str, picture: np.ndarray, side: int) -> np.ndarray:
+    """A prior picture brought to the scale of the object, and to its kind."""
+    try:
+        if not np.iscomplexobj(picture):
+            picture = to_grey(to_unit_range(picture))
+        elif name != PTYCHOGRAPHY:
+            raise ValueError(f"it is complex: {name} is of real objects, save its modulus")
+        fitted = fit_to(picture, min(side, *picture.shape))
+    except ValueError as error:
+        raise ValueError(f"prior picture {label}: {error}") from error
+    compose = name == PTYCHOGRAPHY and not np.iscomplexobj(fitted)
+    return complex_object(fitted) if compose else fitted
+
+
+def _same_picture(a: np.ndarray, b: np.ndarray) -> bool:
+    side = min(*a.shape, *b.shape)
+    a, b = (fit_to(p, side) - fit_to(p, side).mean() for p in (a, b))
+    norm = np.linalg.norm(a) * np.linalg.norm(b)
+    return bool(np.abs(np.vdot(a, b)) > _SAME_PICTURE * norm)
+
+
+# ---- samplers by name ----------------------------------------------------------------------------
+
+
+class Sampling(NamedTuple):
+    """How a named sampler is built for a posterior, and how much it draws if nothing is said."""
+
+    build: Callable[[Posterior], Sampler]
+    draws: int
+    thin: int
+
+
+def _ula(posterior: Posterior) -> ULA:
+    # A fifth of the stiffest variance: the step's own bias is then 10 % of it at most.
+    complex_object = jnp.issubdtype(posterior.dtype, jnp.complexfloating)
+    data = posterior.likelihood.curvature(complex_object, posterior.y, 0.0, "convolved")
+    return ULA(step_size=0.2 / float(jnp.max(data) + jnp.max(1 / posterior.prior.power)))
+
+
+_ANNEALED = {"levels": 200, "steps": 5}
+
+SAMPLERS = {
+    "mala": Sampling(lambda _: MALA(), 500, 10),
+    "annealed": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, polish=200), 25, 1),
+    "annealed-split": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, path="split"), 25, 1),
+    "ula": Sampling(_ula, 500, 10),
+    "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
+    "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
+    "ensemble": Sampling(lambda _: Ensemble(), 4000, 1),
+}
+
+
+def start_of(sampler: str, posterior: Posterior, key: jax.Array) -> jax.Array | None:
+    """Where a named sampler starts: "split" cannot travel, so from a draw along "convolved"."""
+    if sampler != "annealed-split":
+        return None
+    if isinstance(posterior.likelihood, LinearLikelihood):
+        return posterior.y
+    scout = AnnealedLangevin(**_ANNEALED)
+    return sample(posterior, scout, key, chains=1, draws=1, progress=False).values[0, 0]

@@ -1,0 +1,314 @@
+"""Cameras: the simulator and the log-probability must be the same camera."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from posterior.models.camera import Gaussian, Poisson, PoissonGaussian
+from scipy import stats
+
+POISSON = [
+    Poisson(10, 1),
+    Poisson(10, 4),
+    Poisson(100),
+    Poisson(100, 8),
+    Poisson(255, 8),
+    Poisson(5000, 8),
+    Poisson(1e6, 12),
+]
+NOISY = [PoissonGaussian(100, 0.4, 4), PoissonGaussian(5000, 8, 8)]
+
+
+def recordings(camera):
+    """Every value the camera can record, in float64."""
+    top = camera.full_well if camera.bits is None else 2**camera.bits - 1
+    return np.arange(top + 1) / top
+
+
+def normalised(camera, dtype):
+    return jnp.asarray(recordings(camera), dtype)
+
+
+# ---- probabilities -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camera", POISSON + NOISY, ids=repr)
+def test_probabilities_of_all_recordings_add_up_to_one(camera):
+    y = normalised(camera, "float32")[:, None]
+    expected = jnp.asarray([0, 1e-3, 0.07, 0.5, 0.98, 1.0, 1.4], "float32")
+    total = jnp.sum(jnp.exp(camera.log_prob(y, expected)), axis=0)
+    np.testing.assert_allclose(total, 1, atol=2e-5)
+
+
+def test_quantised_probability_adds_counts():
+    """Against scipy, through the definition of the code."""
+    camera, light = Poisson(100, 4), 0.62
+    counts = np.arange(400)
+    codes = np.floor(np.minimum(counts, 100) * 15 / 100 + 0.5)
+    expected = [stats.poisson.pmf(counts[codes == c], 62).sum() for c in range(16)]
+    value = jnp.exp(camera.log_prob(normalised(camera, "float32"), jnp.float32(light)))
+    np.testing.assert_allclose(value, expected, rtol=2e-5, atol=1e-12)
+
+
+def chi_square(camera, model, light, key, dtype, draws=20_000):
+    """p-value of draws of `camera` under the probabilities of `model`, cells merged to 10 draws."""
+    y = np.asarray(jax.jit(camera.sample)(key, jnp.full(draws, light, dtype)), float)
+    values = recordings(camera)
+    observed = np.bincount(np.round(y * (values.size - 1)).astype(int), minlength=values.size)
+    probability = np.asarray(
+        jnp.exp(model.log_prob(jnp.asarray(values, dtype), jnp.full(values.size, light, dtype)))
+    ).astype(float)
+    cell = np.minimum(np.cumsum(probability) * draws / 10, draws).astype(int)
+    expected = np.bincount(cell, probability) * draws
+    observed = np.bincount(cell, observed)[expected > 0]
+    expected = expected[expected > 0]
+    few = expected < 5
+    expected = np.append(expected[~few], expected[few].sum() + 1e-9)
+    observed = np.append(observed[~few], observed[few].sum())
+    statistic = np.sum((observed - expected) ** 2 / np.maximum(expected, 0.5))
+    return stats.chi2.sf(statistic, max(expected.size - 1, 1))
+
+
+SIMULATED = [
+    (Poisson(100, 8), (0.005, 0.6, 1.02)),
+    (Poisson(20000), (0.1, 0.999)),
+    (Poisson(1e6, 12), (0.01, 0.4, 0.9995)),
+    (PoissonGaussian(100, 0.4, 4), (0.005, 0.9)),
+    (PoissonGaussian(5000, 8, 8), (0.001, 0.5, 1.0)),
+]
+
+
+@pytest.mark.parametrize(("camera", "lights"), SIMULATED, ids=repr)
+def test_histogram_is_the_probability(precision, camera, lights):
+    for i, light in enumerate(lights):
+        p = chi_square(camera, camera, light, jax.random.key(i), precision)
+        assert p > 1e-4, (light, p)
+
+
+def test_histogram_finds_a_wrong_full_well():
+    """A full well 10 % off, with light to keep the mean count's share: only the noise differs."""
+    for camera, wrong in (
+        (Poisson(100, 4), Poisson(110, 4)),
+        (Poisson(1e6, 12), Poisson(1.1e6, 12)),
+    ):
+        assert chi_square(camera, wrong, 0.6, jax.random.key(0), "float32") < 1e-6
+
+
+def test_histogram_of_unquantised_read_noise():
+    camera = PoissonGaussian(1000, 3.0)
+    edges = np.arange(-12, 1012, 0.3) / 1000  # 0.1 read noise: the midpoint rule is exact to 1e-3
+    middle = jnp.asarray((edges[1:] + edges[:-1]) / 2, "float32")
+    for light in (0.002, 0.4, 0.99):
+        draws = camera.sample(jax.random.key(1), jnp.full(20_000, light, "float32"))
+        density = np.asarray(jnp.exp(camera.log_prob(middle, jnp.full_like(middle, light))), float)
+        mass = density * 0.3 / 1000
+        np.testing.assert_allclose(mass.sum(), 1, atol=1e-3)
+        cdf = np.append(0, np.cumsum(mass))
+        p = stats.kstest(np.asarray(draws), lambda y, cdf=cdf: np.interp(y, edges, cdf)).pvalue
+        assert p > 1e-4
+
+
+def test_variance_of_a_million_electrons():
+    """jax.random.poisson alone is 2 % off here."""
+    n = 100_000
+    camera = Poisson(2_000_000)
+    y = camera.sample(jax.random.key(2), jnp.full(n, 0.5, "float32"))
+    electrons = np.asarray(y, float) * 2e6
+    assert abs(electrons.mean() - 1e6) < 4 * np.sqrt(1e6 / n)
+    assert abs(electrons.var() / 1e6 - 1) < 4 * np.sqrt(2 / n)
+
+
+# ---- scores --------------------------------------------------------------------------------------
+
+SCORED = [
+    (Poisson(100), 0.3, "float32"),
+    (Poisson(100, 8), 0.95, "float32"),
+    (Poisson(5000, 4), 0.4, "float32"),
+    (Poisson(1e6, 8), 0.5, "float64"),
+    (PoissonGaussian(100, 0.4, 4), 0.2, "float64"),
+    (PoissonGaussian(1000, 3.0), 0.97, "float32"),
+    (Gaussian(0.1), 0.4, "float32"),
+]
+
+
+@pytest.mark.parametrize(("camera", "light", "dtype"), SCORED, ids=repr)
+def test_score_has_mean_zero_and_the_fisher_information(camera, light, dtype):
+    n = 40_000
+    with jax.enable_x64(dtype == "float64"):
+        expected = jnp.full(n, light, dtype)
+        y = camera.sample(jax.random.key(3), expected)
+        score, slope = jax.jit(
+            lambda e: jax.jvp(lambda e: camera.score(y, e), (e,), (jnp.ones_like(e),))
+        )(expected)
+        score, slope = np.asarray(score, float), np.asarray(slope, float)
+    assert abs(score.mean()) < 4 * score.std() / np.sqrt(n)
+    identity = score**2 + slope
+    assert abs(identity.mean()) < 4 * identity.std() / np.sqrt(n) + 1e-6 * score.var()
+
+
+@pytest.mark.parametrize(
+    "camera", [Poisson(100, 8), Poisson(5000, 4), PoissonGaussian(100, 0.4, 4)], ids=repr
+)
+def test_score_is_the_finite_difference(x64, camera):
+    y = jnp.asarray([0, 0.2, 0.4, 1.0])[:, None]
+    expected = jnp.asarray([0.01, 0.3, 0.5, 1.1])
+    step = 1e-4 * expected
+    difference = camera.log_prob(y, expected + step) - camera.log_prob(y, expected - step)
+    score = camera.score(y, expected)
+    tolerance = 1e-5 * (np.abs(score) + camera.full_well)
+    assert np.all(np.abs(score - difference / (2 * step)) < tolerance)
+
+
+def test_complex_score_is_the_gradient_in_re_and_im(x64):
+    camera = Gaussian(0.3)
+    y, expected = jnp.asarray([1 + 2j, 0.5j]), jnp.asarray([0.4 - 1j, 0.1 + 0j])
+    np.testing.assert_allclose(camera.score(y, expected), (y - expected) / 0.09, rtol=1e-12)
+    density = stats.norm.logpdf(y.real, expected.real, 0.3)
+    density = density + stats.norm.logpdf(y.imag, expected.imag, 0.3)
+    np.testing.assert_allclose(camera.log_prob(y, expected), density, rtol=1e-12)
+
+
+def test_gaussian_noise_has_sigma_in_each_part():
+    noise = Gaussian(0.5).sample(jax.random.key(4), jnp.zeros(100_000, "complex64"))
+    for part in (noise.real, noise.imag):
+        assert abs(np.var(part) / 0.25 - 1) < 4 * np.sqrt(2 / 1e5)
+
+
+# ---- robustness ----------------------------------------------------------------------------------
+
+LIGHTS = [-5.0, -1e-3, -1e-30, 0.0, 1e-30, 1e-9, 0.3, 1.0, 5.0]
+
+
+@pytest.mark.parametrize(
+    "camera", [Poisson(100), Poisson(255, 8), Poisson(1e6, 4), *NOISY], ids=repr
+)
+def test_finite_everywhere(precision, camera):
+    y = normalised(camera, precision)[:, None]
+    expected = jnp.asarray(LIGHTS, precision)
+    value, score = camera.log_prob(y, expected), camera.score(y, expected)
+    assert value.dtype == precision
+    assert score.dtype == precision
+    assert np.all(np.isfinite(value))
+    assert np.all(np.isfinite(score))
+    assert np.all(score[1:, :3] >= 0)  # from darkness, any electron points to light
+
+
+def test_unreachable_code_is_impossible():
+    camera = Poisson(10, 8)
+    expected = jnp.full(256, 0.4, "float32")
+    y = normalised(camera, "float32")
+    possible = np.isfinite(camera.log_prob(y, expected))
+    np.testing.assert_array_equal(np.flatnonzero(possible), np.floor(np.arange(11) * 25.5 + 0.5))
+    assert np.all(np.isfinite(camera.score(y, expected)))
+
+
+@pytest.mark.parametrize("camera", [Poisson(1e6, 16), Poisson(8388607, 16), Poisson(77, 5)])
+def test_sample_and_log_prob_use_the_same_codes(camera):
+    """Electrons at both ends of a code, in float32, as the definition in whole numbers has them."""
+    from posterior.models.camera import _first_counts
+
+    firsts, top = _first_counts(camera.full_well, camera.bits), 2**camera.bits - 1
+    for code in (0, 1, top // 3, top):
+        for count in (firsts[code], firsts[code + 1] - 1):
+            assert (2 * int(count) * top + camera.full_well) // (2 * camera.full_well) == code
+
+
+def test_follows_float32_inside_x64(x64):
+    light = jnp.full(3, 0.5, "float32")
+    for camera in (Poisson(100, 8), Poisson(100), PoissonGaussian(100, 0.4, 4), Gaussian(0.1)):
+        y = camera.sample(jax.random.key(0), light)
+        assert y.dtype == jnp.float32
+        assert camera.log_prob(np.asarray(y, float), light).dtype == jnp.float32
+
+
+def test_same_key_same_draws_and_vmap_is_a_loop():
+    light = jnp.linspace(0, 1.1, 12, dtype="float32").reshape(3, 4)
+    keys = jax.random.split(jax.random.key(5), 3)
+    for camera in (Poisson(100, 8), PoissonGaussian(100, 0.4, 4), Gaussian(0.1)):
+        y = jax.vmap(camera.sample)(keys, light)
+        np.testing.assert_array_equal(y, jnp.stack(list(map(camera.sample, keys, light))))
+        value = jax.vmap(camera.log_prob)(y, light)
+        loop = jnp.stack(list(map(camera.log_prob, y, light)))
+        np.testing.assert_allclose(value, loop, rtol=1e-5, atol=1e-6)
+
+
+def test_saturated_tail_stays_conditional_when_chains_are_vmapped():
+    camera, y = Poisson(100, 8), jnp.full(4, 0.2, "float32")
+    chains = jax.vmap(lambda e: camera.log_prob(y, e))
+    assert "cond[" in str(jax.make_jaxpr(chains)(jnp.full((2, 4), 0.2, "float32")))
+
+
+# ---- what is told --------------------------------------------------------------------------------
+
+
+def test_noise_levels():
+    assert Poisson(100, 8).sigma0 == 0.1
+    assert Poisson(100).read_variance == 0
+    assert Poisson(100, 1).read_variance == 1 / 12
+    assert PoissonGaussian(400, 2).read_variance == 0.005**2
+    assert Gaussian(0.5).read_variance == 0.25
+    assert Gaussian(0.5).sigma0 == 0
+    assert [c.counting for c in (Gaussian(1), Poisson(1), PoissonGaussian(1, 1))] == [0, 1, 1]
+
+
+@pytest.mark.parametrize("camera", POISSON + NOISY + [PoissonGaussian(100, 3.0)], ids=repr)
+def test_check_accepts_what_the_camera_records(camera):
+    light = jnp.linspace(0, 1.2, 500, dtype="float32")
+    y = camera.sample(jax.random.key(6), light)
+    camera.check(y)
+    camera.check(np.asarray(y, float))
+
+
+def test_codes_come_back():
+    camera = Poisson(5000, 12)
+    codes = np.arange(4096, dtype=np.uint16)
+    y = camera.from_codes(codes)
+    camera.check(y)
+    np.testing.assert_array_equal(np.round(np.asarray(y, float) * 4095), codes)
+
+
+@pytest.mark.parametrize(
+    ("camera", "y", "sentence"),
+    [
+        (Poisson(100), [np.nan], "not finite.*mask or repair"),
+        (Poisson(100), [-0.01], r"negative \(-1 electrons\).*dark level"),
+        (Poisson(100), [1.7], r"y = 1.7 is above the full well \(1 = 100 electrons\).*divide"),
+        (Poisson(100, 8), np.array([3]), "integer data.*ADC codes.*camera.from_codes"),
+        (Poisson(100), np.array([1j]), "complex data.*intensities"),
+        (Poisson(100, 8), [0.5], "not on the grid k/255.*8-bit.*set bits"),
+        (Poisson(100), [0.123456], "12.3456 electrons, not a whole number.*PoissonGaussian"),
+        (Poisson(10, 8), [1 / 255], "code 1, which no whole number.*raise full_well"),
+        (PoissonGaussian(100, 1.0), [-0.2], "far below zero"),
+        (PoissonGaussian(100, 1.0, 8), [-1 / 255], "negative"),
+        (PoissonGaussian(100, 1.0), [1.2], "above the full well"),
+        (Gaussian(1.0), np.array([3]), "integer data.*full scale"),
+        (Gaussian(1.0), [np.inf], "not finite"),
+    ],
+)
+def test_check_names_value_and_remedy(camera, y, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        camera.check(np.asarray(y))
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: Poisson(0), "full_well = 0 must be a positive number"),
+        (lambda: Poisson(100.5), "full_well = 100.5 must be a whole number"),
+        (lambda: Poisson(1e7), "full_well = 10000000.0 must be a whole number.*at most 8388607"),
+        (lambda: Poisson("many"), "full_well = many must be a positive number"),
+        (lambda: Poisson(100, 17), "bits = 17 must be an integer 1..16"),
+        (lambda: Poisson(100, 8.5), "bits = 8.5 must be"),
+        (lambda: PoissonGaussian(100, 0), "read_noise = 0 must be.*Poisson"),
+        (lambda: Gaussian(-1), "sigma = -1 must be"),
+        (lambda: Poisson(100).from_codes(np.array([1])), "no ADC"),
+        (lambda: Poisson(100, 8).from_codes(np.array([256])), r"code 256 is outside 0\.\.255"),
+        (lambda: Poisson(100, 8).from_codes(np.array([-1])), "code -1 is outside"),
+        (lambda: Poisson(100, 8).from_codes(np.array([0.5])), "dtype float64"),
+        (lambda: Poisson(100).log_prob(0.5, jnp.ones(2, complex)), "complex.*intensity"),
+        (lambda: Poisson(100).sample(jax.random.key(0), jnp.ones(2, complex)), "complex"),
+    ],
+)
+def test_bad_arguments_are_named(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
