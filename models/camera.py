@@ -67,6 +67,7 @@ class Camera(eqx.Module):
         For concrete data, not under jit.
         """
 
+    @eqx.filter_jit
     def score(self, y: jax.Array, expected: jax.Array) -> jax.Array:
         """Elementwise d log_prob / d expected; for a complex signal d/dRe + j d/dIm."""
         expected = _floating(expected)
@@ -161,6 +162,7 @@ class _CountingCamera(Camera):
             )
         return jnp.asarray(codes / self._top, jnp.result_type(float))
 
+    @eqx.filter_jit
     def _electrons(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """min(N, full_well), N ~ Poisson; int32.
 

@@ -18,16 +18,24 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import numpy as np
 import typer
+from skimage import data as shipped
 
 from . import presets
 from .diagnostics.convergence import ess, rhat
 from .diagnostics.plots import align_phase, complex_maps, overview
 from .diagnostics.spread import interval
 from .draws import Draws, versions
-from .images import read_picture, replace_whole, split_key, write_tiff
+from .images import (
+    read_picture,
+    replace_whole,
+    split_key,
+    to_grey,
+    to_unit_range,
+    write_tiff,
+)
 from .models.camera import Poisson
 from .models.optics import CONJUGATE_FLIP, Optics
-from .presets import APPLICATIONS, DENOISING, SAMPLERS, Question
+from .presets import APPLICATIONS, DENOISING, PTYCHOGRAPHY, SAMPLERS, Question
 from .samplers import Ensemble, Sampler
 from .samplers.base import PopulationSampler
 from .sampling import NonFiniteError, sample
@@ -203,7 +211,7 @@ def run(
             draws=options.draws,
             warmup=options.warmup,
             thin=options.thin,
-            start=presets.start_of(options.sampler, posterior, key_start),
+            start=presets.start_of(options.sampler, posterior, key_start, options.chains),
             progress=not quiet,
             checkpoint=out / CHECKPOINT,
         )
@@ -546,8 +554,121 @@ def _sentence(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def demo(out: Path, overwrite: bool, quiet: bool) -> None:
-    pass
+# ---- the demonstration ---------------------------------------------------------------------------
+
+
+class Example(NamedTuple):
+    """A run of the demonstration, and what its figure shows, in one sentence."""
+
+    title: str
+    picture: str
+    options: dict[str, Any]
+    caption: str
+
+
+EXAMPLES = {
+    DENOISING: Example(
+        "Denoising: a photograph in dim light",
+        "camera",
+        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 20, "warmup": 2000},
+        "One recording of at most 100 electrons a pixel, the mean of what it allows and two of the "
+        "pictures it allows; the error of the mean and the standard deviation have one colour "
+        "scale, so where the scale says that the mean is sure it should also be right.",
+    ),
+    PTYCHOGRAPHY: Example(
+        "Fourier ptychography: amplitude and phase of a thin specimen",
+        "coins",
+        {"full_well": 1000, "bits": 10, "size": 64, "draws": 300, "thin": 25, "warmup": 3000},
+        "From 49 dim recordings of 16 x 16 pixels, one a LED, a complex object of 64 x 64: "
+        "amplitude above, phase in the middle, and below how sure both are.",
+    ),
+}
+
+
+def demo(out: Path, overwrite: bool = False, quiet: bool = False) -> None:
+    """Run the examples into folders of `out`, and write report.md; finished ones are kept."""
+    if (out / "report.md").exists() and not overwrite:
+        raise ValueError(f"{out} already holds report.md: give another --out, or --overwrite")
+    _prepare(out, overwrite=True)
+    sections = []
+    for name, example in EXAMPLES.items():
+        image = out / f"{example.picture}.tif"
+        # Between a tenth and four fifths of the full scale: nothing is black, nothing saturates.
+        picture = to_grey(to_unit_range(getattr(shipped, example.picture)()))
+        _write_once(image, 0.1 + 0.7 * picture)
+        options = Options(name, image=str(image), **example.options).resolved()
+        settings = _finished(out / name, options)
+        if settings is None:
+            settings = run(options, out / name, overwrite=True, quiet=quiet)
+        sections.append(_section(name, example, settings))
+    text = _REPORT.format(sections="\n".join(sections))
+    replace_whole(out / "report.md", lambda part: Path(part).write_text(text))
+    print(f"the report is {out / 'report.md'}")
+
+
+def _write_once(path: Path, picture: np.ndarray) -> None:
+    if not path.exists():
+        write_tiff(path, picture)
+    elif not np.array_equal(read_picture(path), picture.astype("f4")):
+        raise ValueError(f"{path} is another picture: give another --out")
+
+
+def _finished(folder: Path, options: Options) -> dict[str, Any] | None:
+    """The settings of a run of the demonstration that an interrupted one has finished."""
+    if not (folder / SETTINGS).exists():
+        return None
+    settings = _read_settings(folder / SETTINGS)
+    return settings if Options(**settings["options"]) == options else None
+
+
+def _section(name: str, example: Example, settings: dict[str, Any]) -> str:
+    options = settings["options"]
+    numbers = "\n".join(f"- {line}" for line in _lines(settings["results"]))
+    doubts = "\n".join(f"- {line}" for line in settings["warnings"])
+    return _SECTION.format(
+        title=example.title,
+        figure=f"{name}/figure.png",
+        caption=example.caption,
+        image=settings["input"]["file"],
+        others=len(settings["prior"]),
+        numbers=numbers,
+        doubts=doubts or "- nothing speaks against believing the intervals",
+        **options,
+    )
+
+
+_REPORT = """# What a recording says, and how surely
+
+Each example records a known picture with a simulated camera, forgets the picture, and draws from
+everything that the recording allows. A draw is one possible object; where draws agree the recording
+decides, where they differ it does not. The last number of each list is the test: an interval that
+claims 90 % has to hold the truth in about 90 % of the pixels.
+
+{sections}
+## What is certain, and what is not
+
+The camera is known exactly: photon noise, full well and the steps of the ADC are in the
+likelihood. The prior is not: it is a Gaussian field with the spectrum of other pictures, so it
+expects the same roughness everywhere. Flat areas get intervals that are a little too wide, sharp
+edges intervals that are too narrow; the numbers above are averages over both. One picture is one
+test: calibration over many is a study of its own.
+"""
+
+_SECTION = """## {title}
+
+![{title}]({figure})
+
+{caption}
+
+{problem} of `{image}` ({size} x {size} pixels), full well {full_well} electrons, {bits} bits; prior
+fitted to {others} other pictures; sampler {sampler}, {chains} chains x {draws} draws, seed {seed}.
+
+{numbers}
+
+Doubts:
+
+{doubts}
+"""
 
 
 if __name__ == "__main__":

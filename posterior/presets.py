@@ -53,8 +53,8 @@ class Application(NamedTuple):
 
 APPLICATIONS = {
     DENOISING: Application(128, 100, 8, "mala"),
-    PHASE_RETRIEVAL: Application(64, 1_000_000, 16, "annealed"),
-    PTYCHOGRAPHY: Application(64, 10_000, 12, "annealed"),
+    PHASE_RETRIEVAL: Application(64, 1_000_000, 16, "mala"),
+    PTYCHOGRAPHY: Application(64, 1000, 10, "mala"),
 }
 
 
@@ -380,7 +380,7 @@ def _ula(posterior: Posterior) -> ULA:
 _ANNEALED = {"levels": 200, "steps": 5}
 
 SAMPLERS = {
-    "mala": Sampling(lambda _: MALA(), 500, 10),
+    "mala": Sampling(lambda _: MALA(), 500, 25),
     "annealed": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, polish=200), 25, 1),
     "annealed-split": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, path="split"), 25, 1),
     "ula": Sampling(_ula, 500, 10),
@@ -390,11 +390,16 @@ SAMPLERS = {
 }
 
 
-def start_of(sampler: str, posterior: Posterior, key: jax.Array) -> jax.Array | None:
-    """Where a named sampler starts: "split" cannot travel, so from a draw along "convolved"."""
-    if sampler != "annealed-split":
-        return None
+def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) -> np.ndarray | None:
+    """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
+
+    From intensities of a field, a chain that starts at random stays in the wrong valley, so each
+    starts at the end of an annealing run of its own. "split" cannot travel at all.
+    """
     if isinstance(posterior.likelihood, LinearLikelihood):
-        return posterior.y
+        return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
+    if sampler not in ("mala", "ula", "nuts", "annealed-split"):
+        return None
     scout = AnnealedLangevin(**_ANNEALED)
-    return sample(posterior, scout, key, chains=1, draws=1, progress=False).values[0, 0]
+    found = sample(posterior, scout, key, chains=chains, draws=1, progress=False)
+    return found.values[:, 0]

@@ -19,6 +19,7 @@ from .samplers.base import PopulationSampler, Sampler, vmap_init, vmap_step
 
 _CHUNK_SECONDS = 2.0
 _BUFFER_BYTES = 64 * 2**20
+_BUFFER_DRAWS = 1024
 
 
 class NonFiniteError(ArithmeticError):
@@ -175,7 +176,8 @@ def _run_chains(
             report(run, "")
         pace = _Pace()
         size = int(np.prod(posterior.shape)) * np.dtype(posterior.dtype).itemsize
-        capacity = int(np.clip(_BUFFER_BYTES // (plan.chains * size), 1, plan.draws))
+        # Not the number of draws: another number of them needs no new compilation.
+        capacity = int(np.clip(_BUFFER_BYTES // (plan.chains * size), 1, _BUFFER_DRAWS))
         while int(run.step) < total:
             step = int(run.step)
             room = capacity * per_draw - step % per_draw

@@ -1,0 +1,35 @@
+# make demo: install and run the main job on a real picture.  make test: install and run all tests.
+PYTHON ?= python3
+BIN := .venv/bin
+# The tested versions; for others install by `pip install .` and leave the file out.
+CONSTRAINTS := constraints.txt
+
+.PHONY: demo test study lint bench clean
+
+demo: .venv/installed
+	$(BIN)/posterior demo --out out/demo
+
+test: .venv/installed-test
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+study: .venv/installed-test
+	$(BIN)/python -m pytest -m slow --durations=0
+
+bench: .venv/installed-test
+	$(BIN)/python tests/benchmarks/run.py
+
+lint: .venv/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+.venv/installed: pyproject.toml $(CONSTRAINTS)
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable .
+	touch $@
+
+.venv/installed-test: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf .venv out build *.egg-info
