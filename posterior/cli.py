@@ -47,10 +47,28 @@ OUTPUTS = ("draws.nc", "mean.tif", "sd.tif") + (
 )  # fmt: skip
 
 _LEVEL = 0.9
+_PERCENT = f"{_LEVEL * 100:.0f} %"
+_COVERED = {
+    "coverage": "pixels",
+    "coverage_amplitude": "pixels, in amplitude",
+    "coverage_phase": "pixels, in phase",
+}
 _MIXED = 1.05
 _FEW = 100
 _TOO_NARROW = 0.85
-_APPROXIMATE = ("annealed-split", "ula")
+_RANGES = {
+    "full_well": (1, 2**23 - 1),
+    "bits": (0, 16),
+    "draws": (1, None),
+    "chains": (1, None),
+    "warmup": (0, None),
+    "thin": (1, None),
+    "seed": (0, 2**31 - 1),
+    "size": (4, None),
+    "page": (0, None),
+    "oversampling": (1, None),
+}
+_APPROXIMATE = ("annealed", "annealed-split", "ula")
 _REFUSED = (ValueError, NonFiniteError, OSError)
 
 app = typer.Typer(
@@ -91,6 +109,8 @@ class Options:
             raise ValueError("give either --image (a picture to record) or --data (a recording)")
         if self.data is not None and self.full_well is None:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
+        for option, (least, most) in _RANGES.items():
+            _check_range(option, getattr(self, option), least, most)
         simulated = self.image is not None
         return dataclasses.replace(
             self,
@@ -107,7 +127,6 @@ class Options:
 
 # ---- commands ------------------------------------------------------------------------------------
 
-Count = Annotated[int | None, typer.Option(min=1)]
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
@@ -119,19 +138,19 @@ def sample_command(
     out: Out,
     image: Annotated[str | None, typer.Option(help="A clean picture, to be recorded.")] = None,
     data: Annotated[str | None, typer.Option(help="A recording: codes, or fractions of 1.")] = None,
-    full_well: Annotated[int | None, typer.Option(min=1, help="Electrons at saturation.")] = None,
-    bits: Annotated[int | None, typer.Option(min=0, max=16, help="Of the ADC; 0: none.")] = None,
+    full_well: Annotated[int | None, typer.Option(help="Electrons at saturation.")] = None,
+    bits: Annotated[int | None, typer.Option(help="Of the ADC; 0: none.")] = None,
     sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,
-    draws: Annotated[int | None, typer.Option(min=1, help="Draws a chain.")] = None,
-    chains: Annotated[int, typer.Option(min=1)] = 4,
-    warmup: Annotated[int | None, typer.Option(min=0, help="Steps that tune the sampler.")] = None,
-    thin: Annotated[int | None, typer.Option(min=1, help="Steps from draw to draw.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 0,
-    size: Annotated[int | None, typer.Option(min=4, help="Pixels a side of the object.")] = None,
+    draws: Annotated[int | None, typer.Option(help="Draws a chain.")] = None,
+    chains: Annotated[int, typer.Option(help="Independent chains.")] = 4,
+    warmup: Annotated[int | None, typer.Option(help="Steps that tune the sampler.")] = None,
+    thin: Annotated[int | None, typer.Option(help="Steps from draw to draw.")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same draws.")] = 0,
+    size: Annotated[int | None, typer.Option(help="Pixels a side of the object.")] = None,
     prior: Annotated[str | None, typer.Option(help="A picture, or a folder of them.")] = None,
     irradiance: Annotated[float | None, typer.Option(help="Signal at a field of 1.")] = None,
-    page: Annotated[int | None, typer.Option(min=0, help="Of a file of many, from 0.")] = None,
-    oversampling: Annotated[int | None, typer.Option(min=1, help="Of the far field.")] = None,
+    page: Annotated[int | None, typer.Option(help="Of a file of many, from 0.")] = None,
+    oversampling: Annotated[int | None, typer.Option(help="Of the far field.")] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
@@ -331,16 +350,16 @@ def _summary(draws: Draws, question: Question, options: Options, sampler: Sample
         width = np.stack([maps.width_amplitude, maps.width_phase])
         pictures = {f"{n}.tif": getattr(maps, n) for n in maps._fields if "width" not in n}
         turn = np.exp(-1j * np.angle(mean))
-        compared = {"amplitude": np.abs, "phase": lambda x: np.angle(x * turn)}
+        compared = {"coverage_amplitude": np.abs, "coverage_phase": lambda x: np.angle(x * turn)}
     else:
         low, high = interval(values, _LEVEL)
         sd, width = values.std(axis=(0, 1)), high - low
         pictures = {"mean.tif": mean, "sd.tif": sd}
-        compared = {"pixels": lambda x: x}
+        compared = {"coverage": lambda x: x}
     if truth is not None:
         results["psnr_mean"] = _psnr(mean, truth)
         for name, part in compared.items():
-            results[f"coverage_{name}"] = _coverage(part(values), part(truth))
+            results[name] = _coverage(part(values), part(truth))
     results |= _convergence(values, sampler)
     warnings = _warnings(results, options)
     return Summary(values, mean, sd, width, pictures, results, warnings)
@@ -398,7 +417,8 @@ def _convergence(values: np.ndarray, sampler: Sampler) -> dict[str, float]:
     # Chains that never move have no R-hat: as bad as can be.
     with np.errstate(all="ignore"):
         worst = [rhat(p) for p in parts]
-        found = {"rhat": float(np.max(np.where(np.isnan(worst), np.inf, worst)))}
+        worst = np.where(np.isnan(worst), np.inf, worst)
+        found = {"rhat": float(np.max(worst)), "unmixed": float(np.mean(worst > _MIXED))}
         # Particles have no order: counting their correlation would say nothing.
         if not isinstance(sampler, PopulationSampler):
             found["ess"] = float(np.min(np.nan_to_num([ess(p) for p in parts])))
@@ -414,8 +434,9 @@ def _warnings(results: dict[str, float], options: Options) -> list[str]:
         )
     elif results["rhat"] > _MIXED:
         said.append(
-            f"the chains have not mixed: R-hat is {results['rhat']:.2f}, above {_MIXED}; do not "
-            "trust the intervals, give more --thin, --draws or --warmup"
+            f"the chains have not mixed: R-hat is above {_MIXED} in "
+            f"{100 * results['unmixed']:.0f} % of the pixels, up to {results['rhat']:.2f}; do not "
+            "trust the intervals there, give more --thin, --draws or --warmup"
         )
     if results.get("ess", _FEW) < _FEW:
         said.append(
@@ -425,11 +446,11 @@ def _warnings(results: dict[str, float], options: Options) -> list[str]:
     if options.sampler in _APPROXIMATE:
         said.append(f"{options.sampler} is approximate: check its intervals against mala or nuts")
     for name, value in results.items():
-        if name.startswith("coverage_") and value < _TOO_NARROW:
+        if name in _COVERED and value < _TOO_NARROW:
             said.append(
-                f"the intervals are too narrow: they hold the truth in {value:.0%} of the "
-                f"{name.removeprefix('coverage_')}, not {_LEVEL:.0%}; the prior does not describe "
-                "this picture, or the chains have not mixed"
+                f"the intervals are too narrow: they hold the truth in {100 * value:.0f} % of the "
+                f"{_COVERED[name]}, not {_PERCENT}; the prior does not describe this picture, or "
+                "the chains have not mixed"
             )
     return said
 
@@ -513,10 +534,9 @@ def _lines(results: dict[str, float]) -> list[str]:
     if "psnr_mean" in results:
         lines.append(f"PSNR of the posterior mean: {results['psnr_mean']:.2f} dB")
     lines += [
-        f"truth inside the {_LEVEL:.0%} interval: {value:.1%} of the "
-        f"{name.removeprefix('coverage_')}"
+        f"truth inside the {_PERCENT} interval: {100 * value:.1f} % of the {_COVERED[name]}"
         for name, value in results.items()
-        if name.startswith("coverage_")
+        if name in _COVERED
     ]
     if "rhat" in results:
         lines.append(f"R-hat, largest of all pixels: {results['rhat']:.3f}")
@@ -529,6 +549,15 @@ def _known(kind: str, name: str, table: dict[str, Any]) -> Any:
     if name not in table:
         raise ValueError(f"unknown {kind} {name!r}: use one of {', '.join(table)}")
     return table[name]
+
+
+def _check_range(option: str, value: int | None, least: int, most: int | None) -> None:
+    if value is None:
+        return
+    # settings.json can hold anything.
+    if not isinstance(value, int) or value < least or (most is not None and value > most):
+        wanted = f"{least} or more" if most is None else f"{least} to {most}"
+        raise ValueError(f"--{option.replace('_', '-')} {value}: give a whole number, {wanted}")
 
 
 def _absolute(path: str | None) -> str | None:
@@ -577,7 +606,7 @@ EXAMPLES = {
     ),
     PTYCHOGRAPHY: Example(
         "Fourier ptychography: amplitude and phase of a thin specimen",
-        "coins",
+        "camera",
         {"full_well": 1000, "bits": 10, "size": 64, "draws": 300, "thin": 25, "warmup": 3000},
         "From 49 dim recordings of 16 x 16 pixels, one a LED, a complex object of 64 x 64: "
         "amplitude above, phase in the middle, and below how sure both are.",
@@ -593,9 +622,9 @@ def demo(out: Path, overwrite: bool = False, quiet: bool = False) -> None:
     sections = []
     for name, example in EXAMPLES.items():
         image = out / f"{example.picture}.tif"
-        # Between a tenth and four fifths of the full scale: nothing is black, nothing saturates.
+        # From a tenth to six tenths of the full well: nothing is black, nothing saturates.
         picture = to_grey(to_unit_range(getattr(shipped, example.picture)()))
-        _write_once(image, 0.1 + 0.7 * picture)
+        _write_once(image, 0.1 + 0.5 * picture)
         options = Options(name, image=str(image), **example.options).resolved()
         settings = _finished(out / name, options)
         if settings is None:
@@ -629,7 +658,7 @@ def _section(name: str, example: Example, settings: dict[str, Any]) -> str:
         title=example.title,
         figure=f"{name}/figure.png",
         caption=example.caption,
-        image=settings["input"]["file"],
+        file=settings["input"]["file"],
         others=len(settings["prior"]),
         numbers=numbers,
         doubts=doubts or "- nothing speaks against believing the intervals",
@@ -660,7 +689,7 @@ _SECTION = """## {title}
 
 {caption}
 
-{problem} of `{image}` ({size} x {size} pixels), full well {full_well} electrons, {bits} bits; prior
+{problem} of `{file}` ({size} x {size} pixels), full well {full_well} electrons, {bits} bits; prior
 fitted to {others} other pictures; sampler {sampler}, {chains} chains x {draws} draws, seed {seed}.
 
 {numbers}

@@ -382,7 +382,9 @@ _ANNEALED = {"levels": 200, "steps": 5}
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
     "annealed": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, polish=200), 25, 1),
-    "annealed-split": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, path="split"), 25, 1),
+    "annealed-split": Sampling(
+        lambda _: AnnealedLangevin(**_ANNEALED, path="split", polish=200), 25, 1
+    ),
     "ula": Sampling(_ula, 500, 10),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
@@ -400,6 +402,7 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
-    scout = AnnealedLangevin(**_ANNEALED)
-    found = sample(posterior, scout, key, chains=chains, draws=1, progress=False)
+    # Without a polish XLA's compiler for CPUs (jax 0.10) fails on ptychography.
+    scout = AnnealedLangevin(**_ANNEALED, polish=1)
+    found = sample(posterior, scout, key, chains=chains, draws=1, warmup=0, progress=False)
     return found.values[:, 0]

@@ -3,8 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.stats
+
 import posterior as ps
-from posterior import diagnostics, models
+from posterior import models
 
 
 def real_view(values):
@@ -30,36 +32,61 @@ def linear_gaussian(size, rows, dtype, seed=0, noise=0.3):
     likelihood = models.LinearLikelihood(models.Matrix(matrix), models.Gaussian(noise))
     problem = ps.Problem(likelihood, prior)
     _, y = problem.simulate(jax.random.key(seed))
-    h = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
-    h = h if dtype is complex else matrix
-    data = np.concatenate([y.real, y.imag]) if dtype is complex else np.asarray(y)
+    h, data = matrix, np.asarray(y)
+    if dtype is complex:
+        h = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+        data = np.concatenate([y.real, y.imag])
     exact_covariance = np.linalg.inv(np.linalg.inv(covariance) + h.T @ h / noise**2)
     exact_mean = exact_covariance @ (np.linalg.solve(covariance, mean) + h.T @ data / noise**2)
     return problem.condition(y), exact_mean, exact_covariance
 
 
-def moment_z(values, mean, covariance):
-    """Largest |z| of means, and of all products of deviations, against the exact moments.
+BATCHES = 25
 
-    Errors are Monte-Carlo standard errors of the run itself, by ESS; the products of deviations
-    from the exact mean have the covariance as their expectation.
+
+def batch_error(x):
+    """Monte-Carlo standard error of the mean of x (chains, draws, ...), by batch means.
+
+    Each chain is cut into 25 batches, long against its autocorrelation (Flegal and Jones 2010).
+    """
+    length = x.shape[1] // BATCHES
+    batches = x[:, : BATCHES * length].reshape(-1, length, *x.shape[2:]).mean(axis=1)
+    return batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
+
+
+def largest_z(count, chains=4):
+    """What the largest of `count` such z exceeds once in 2000 correct runs (Bonferroni)."""
+    return scipy.stats.t(chains * BATCHES - 1).isf(0.0005 / (2 * count))
+
+
+def check_mean(values, mean):
+    """The mean of draws (chains, draws, n) is `mean` (n,), within Monte-Carlo error."""
+    z = (values.mean((0, 1)) - mean) / batch_error(values)
+    assert np.abs(z).max() < largest_z(z.size, len(values)), np.abs(z).max()
+
+
+def check_moments(values, mean, covariance):
+    """Every mean and every covariance is right, within Monte-Carlo error.
+
+    The products of deviations from the exact mean have the covariance as their expectation.
     """
     draws = real_view(values)
-    z_mean = (draws.mean((0, 1)) - mean) / diagnostics.mcse(draws)
+    check_mean(draws, mean)
     rest = draws - mean
-    i, j = np.triu_indices(len(mean))
-    z_covariance = []
-    for part in np.array_split(np.arange(len(i)), max(1, len(i) // 256)):
-        products = rest[..., i[part]] * rest[..., j[part]]
-        error = diagnostics.mcse(products)
-        z_covariance.append((products.mean((0, 1)) - covariance[i[part], j[part]]) / error)
-    return np.abs(z_mean).max(), np.abs(np.concatenate(z_covariance)).max()
+    rows, columns = np.triu_indices(len(mean))
+    bound = largest_z(len(rows), len(values))
+    for part in np.array_split(np.arange(len(rows)), max(1, len(rows) // 256)):
+        products = rest[..., rows[part]] * rest[..., columns[part]]
+        exact = covariance[rows[part], columns[part]]
+        z = (products.mean((0, 1)) - exact) / batch_error(products)
+        assert np.abs(z).max() < bound, np.abs(z).max()
 
 
-def grid_posterior(post, half_width=2.0, points=801):
-    """One complex pixel on a grid: the points (m,), and their exact probabilities (m,)."""
+def grid_posterior(post, half_width=1.6, points=801):
+    """One complex pixel on a grid: its points (m,), and their exact probabilities (m,)."""
     axis = jnp.linspace(-half_width, half_width, points)
     grid = (axis[:, None] + 1j * axis[None, :]).ravel()
-    log_prob = jax.lax.map(lambda o: post.log_prob(o[None]), grid, batch_size=20_000)
-    weight = np.exp(np.asarray(log_prob) - np.max(log_prob))
+    log_prob = jax.jit(jax.vmap(lambda o: post.log_prob(o[None])))
+    values = np.concatenate([log_prob(part) for part in jnp.split(grid, points)])
+    weight = np.exp(values - values.max())
     return np.asarray(grid), weight / weight.sum()

@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from posterior.models import annealing
 from scipy import integrate, stats
+
+from posterior.models import annealing
 
 
 def log_density_on_ring(re, im, y, variance):

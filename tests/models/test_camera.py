@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from posterior.models.camera import Gaussian, Poisson, PoissonGaussian
 from scipy import stats
+
+from posterior.models.camera import Gaussian, Poisson, PoissonGaussian
 
 POISSON = [Poisson(10, 1), Poisson(100), Poisson(255, 4), Poisson(100, 8), Poisson(5000, 8)]
 POISSON += [Poisson(1e6, 12)]

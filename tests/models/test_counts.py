@@ -6,6 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.special import gammaln, log_ndtr, logsumexp
+
 from posterior.models.counts import (
     DARK,
     UNBOUNDED,
@@ -14,8 +17,6 @@ from posterior.models.counts import (
     poisson_log_interval,
     poisson_log_pmf,
 )
-from scipy import stats
-from scipy.special import gammaln, log_ndtr, logsumexp
 
 LAMS = np.array([1e-6, 1e-3, 0.1, 0.5, 1, 3, 7.9, 15, 16, 30, 100, 1234.5, 2e4, 1e6])
 COUNTS = np.array([0, 1, 2, 5, 7, 8, 9, 15, 16, 17, 30, 100, 1000, 20000, 999000, 10**6, 1003000])

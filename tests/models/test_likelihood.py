@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from posterior import models
 from posterior.models.realview import from_real, to_real
 

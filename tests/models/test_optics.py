@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.ndimage
+
 from posterior.models import optics as module
 from posterior.models.optics import (
     Blur,

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+
 from posterior.models import priors
 from posterior.models.realview import from_real, to_real
 

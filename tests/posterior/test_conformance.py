@@ -5,8 +5,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import posterior as ps
 import pytest
+
+import posterior as ps
 from posterior import models, samplers
 from posterior.samplers.base import PopulationSampler, vmap_init, vmap_step
 

@@ -1,0 +1,404 @@
+"""The command line from end to end: every result, every refusal, and the same draws again."""
+
+import json
+import os
+import re
+
+import jax
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+import posterior as ps
+from posterior import cli, models, presets
+from posterior.images import read_picture
+
+RNG = np.random.default_rng(1)
+SMALL = ["--draws", "6", "--warmup", "12", "--thin", "1", "--quiet"]
+FILES = {"draws.nc", "figure.png", "settings.json"}
+REAL = FILES | {"mean.tif", "sd.tif"}
+COMPLEX = FILES | {f"{a}_{b}.tif" for a in ("mean", "sd") for b in ("amplitude", "phase")}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _quick_to_compile():
+    """The runs here are tiny: nearly all their time would go to XLA's optimizations."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+def _smooth(size):
+    """A random picture in 0.1..0.7 with the look of a blurred one."""
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(size)] * 2)) + 1 / size
+    field = np.fft.ifft2(np.fft.fft2(RNG.standard_normal((size, size))) / frequency).real
+    return 0.1 + 0.6 * (field - field.min()) / np.ptp(field)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Pictures, recordings and priors of 16x16."""
+    path = tmp_path_factory.mktemp("input")
+    Image.fromarray((255 * _smooth(16)).astype(np.uint8)).save(path / "picture.png")
+    tifffile.imwrite(path / "deep.tif", (65535 * _smooth(16)).astype(np.uint16))
+    pages = np.stack([(255 * _smooth(16)).astype(np.uint8) for _ in range(2)])
+    tifffile.imwrite(path / "pages.tif", pages, photometric="minisblack")
+    np.save(path / "specimen.npy", presets.complex_object(_smooth(16)))
+    np.save(path / "counts.npy", RNG.poisson(60 * _smooth(16)) / 100)
+    np.save(path / "codes.npy", RNG.poisson(60 * _smooth(16)).astype(np.uint8))
+    (path / "prior").mkdir()
+    for i in range(3):
+        Image.fromarray((255 * _smooth(24)).astype(np.uint8)).save(path / "prior" / f"{i}.png")
+    return path
+
+
+def _main(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        cli.main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def _run(folder, out, *arguments, problem="denoising", image="picture.png"):
+    arguments = ("--image", folder / image, *arguments) if image else arguments
+    status = _main(
+        "sample", problem, "--out", out, "--prior", folder / "prior", "--bits", 0, *SMALL,
+        *arguments,
+    )  # fmt: skip
+    assert status == 0
+    return json.loads((out / "settings.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def denoised(folder, tmp_path_factory):
+    """A finished run, for all tests that only look at it."""
+    out = tmp_path_factory.mktemp("run") / "new" / "denoised"
+    _run(folder, out, "--seed", 3)
+    return out
+
+
+def _files(out):
+    return {p.name for p in out.iterdir()}
+
+
+# ---- runs ----------------------------------------------------------------------------------------
+
+
+def test_a_run_writes_all_and_cleans_up(denoised, folder):
+    assert _files(denoised) == REAL
+    draws = ps.load(denoised / "draws.nc")
+    assert draws.values.shape == (4, 6, 16, 16)
+    mean = read_picture(denoised / "mean.tif")
+    np.testing.assert_allclose(mean, draws.mean, atol=1e-5)
+    settings = json.loads((denoised / "settings.json").read_text())
+    assert settings["options"]["image"] == str(folder / "picture.png")
+    assert settings["options"]["full_well"] == 100
+    assert settings["input"]["file"] == "picture.png"
+    assert sorted(settings["prior"]) == ["0.png", "1.png", "2.png"]
+    assert {"psnr_data", "psnr_mean", "coverage", "rhat", "ess"} <= set(settings["results"])
+    assert settings["versions"]["jax"] == jax.__version__
+    # Six draws after twelve steps: the run has to say that it has not mixed.
+    assert any("have not mixed" in w for w in settings["warnings"])
+
+
+def test_the_same_seed_gives_the_same_draws_and_another_does_not(denoised, folder, tmp_path):
+    for seed, same in ((3, True), (4, False)):
+        out = tmp_path / str(seed)
+        _run(folder, out, "--seed", seed)
+        found = ps.load(out / "draws.nc"), ps.load(denoised / "draws.nc")
+        assert np.array_equal(found[0].values, found[1].values) == same
+        assert np.array_equal(found[0].data, found[1].data) == same
+
+
+def test_repeat_makes_the_same_draws(denoised, tmp_path, capsys):
+    out = tmp_path / "again"
+    assert _main("repeat", denoised / "settings.json", "--out", out, "--quiet") == 0
+    again, first = ps.load(out / "draws.nc"), ps.load(denoised / "draws.nc")
+    np.testing.assert_array_equal(again.values, first.values)
+    said = capsys.readouterr().out
+    assert "truth inside the 90 % interval" in said
+    assert "warning: the chains have not mixed" in said
+
+
+def test_a_killed_run_goes_on(denoised, folder, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "killed"
+    with monkeypatch.context() as patch:
+        patch.setattr("posterior.checkpoint.Checkpoint.save", _interrupt_after(2))
+        arguments = ("--image", folder / "picture.png", "--prior", folder / "prior")
+        status = _main(
+            "sample", "denoising", "--out", out, "--bits", 0, "--seed", 3, *SMALL, *arguments
+        )
+    assert status == 130
+    assert f"what is done is in {out / 'checkpoint'}" in capsys.readouterr().err
+    assert _files(out) == {"checkpoint"}
+    _run(folder, out, "--seed", 3)
+    assert _files(out) == REAL
+    found = ps.load(out / "draws.nc"), ps.load(denoised / "draws.nc")
+    np.testing.assert_array_equal(found[0].values, found[1].values)
+
+
+def _interrupt_after(count):
+    from posterior.checkpoint import Checkpoint
+
+    whole, calls = Checkpoint.save, []
+
+    def save(self, *arguments):
+        whole(self, *arguments)
+        calls.append(1)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+
+    return save
+
+
+def test_a_finished_run_is_kept_unless_told(denoised, folder, tmp_path, capsys):
+    before = (denoised / "draws.nc").read_bytes()
+    assert _refused(capsys, "--image", folder / "picture.png", "--out", denoised).endswith(
+        "give another --out, or --overwrite to replace it"
+    )
+    assert (denoised / "draws.nc").read_bytes() == before
+    out = tmp_path / "kept"
+    out.mkdir()
+    (out / "mean_phase.tif").write_text("of an earlier run")
+    _run(folder, out, "--overwrite", "--seed", 3)
+    assert _files(out) == REAL
+
+
+@pytest.mark.parametrize(("image", "page"), [("deep.tif", None), ("pages.tif", 1)])
+def test_tiff_pictures(folder, tmp_path, image, page):
+    extra = [] if page is None else ["--page", page]
+    settings = _run(folder, tmp_path / "run", *extra, image=image)
+    assert settings["options"]["page"] == page
+    truth = read_picture(folder / image, page)
+    data = ps.load(tmp_path / "run" / "draws.nc").data
+    # A recording of 100 electrons follows its picture.
+    assert np.corrcoef(truth.ravel(), data.ravel())[0, 1] > 0.8
+
+
+def test_a_recording_has_no_truth(folder, tmp_path, capsys):
+    out = tmp_path / "run"
+    extra = ("--data", folder / "counts.npy", "--full-well", 100)
+    settings = _run(folder, out, *extra, image=None)
+    assert _files(out) == REAL
+    assert set(settings["results"]) == {"rhat", "unmixed", "ess"}
+    assert "PSNR" not in capsys.readouterr().out
+    counts = np.load(folder / "counts.npy")
+    np.testing.assert_allclose(ps.load(out / "draws.nc").data, counts, atol=1e-6)
+
+
+def test_phase_retrieval(folder, tmp_path):
+    settings = _run(folder, tmp_path / "run", problem="phase-retrieval")
+    assert _files(tmp_path / "run") == REAL
+    assert settings["options"]["sampler"] == "mala"
+    assert ps.load(tmp_path / "run" / "draws.nc").data.shape == (32, 32)
+
+
+def test_ptychography_of_a_complex_specimen(folder, tmp_path):
+    extra = ("--sampler", "annealed", "--draws", 1, "--chains", 2)
+    settings = _run(folder, tmp_path / "run", *extra, problem="ptychography", image="specimen.npy")
+    assert _files(tmp_path / "run") == COMPLEX
+    assert set(settings["results"]) == {"psnr_mean", "coverage_amplitude", "coverage_phase"}
+    assert any("convergence is not checked" in w for w in settings["warnings"])
+    assert any("annealed is approximate" in w for w in settings["warnings"])
+    draws = ps.load(tmp_path / "run" / "draws.nc")
+    assert draws.data.shape == (49, 8, 8)
+    assert np.iscomplexobj(draws.values)
+
+
+# ---- the three problems --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["phase-retrieval", "ptychography"])
+def test_the_brightest_pixel_just_meets_the_full_well(name):
+    camera = models.Poisson(10_000)
+    picture = (255 * _smooth(32)).astype(np.uint8)
+    question = presets.simulate(name, picture, camera, jax.random.key(0), size=16)
+    truth = np.asarray(question.truth, question.problem.prior.dtype)
+    brightest = float(question.problem.likelihood.expected(jax.numpy.asarray(truth)).max())
+    assert brightest + 4 * np.sqrt(brightest / 10_000) == pytest.approx(1, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["phase-retrieval", "ptychography"])
+def test_irradiance_is_found_from_the_recording(name):
+    """Over recordings of the prior itself, the estimate is right on average."""
+    camera = models.Poisson(1_000_000)
+    picture = (255 * _smooth(32)).astype(np.uint8)
+    known = presets.simulate(name, picture, camera, jax.random.key(0), size=16)
+    likelihood, prior = known.problem.likelihood, known.problem.prior
+    keys = jax.random.split(jax.random.key(1), 16)
+    recordings = jax.jit(jax.vmap(lambda k: likelihood.expected(prior.sample(k))))(keys)
+    ratios = [presets._irradiance_of(y, likelihood.optics, prior) for y in np.asarray(recordings)]
+    ratios = np.array(ratios) / known.irradiance
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    # For ptychography the expectation is itself a mean over 64 draws of the prior.
+    assert np.mean(ratios) == pytest.approx(1, abs=4 * error * np.sqrt(1 + 16 / 64))
+
+
+def test_the_prior_never_sees_the_truth():
+    from skimage import data
+
+    dimmed = 0.2 + 0.5 * data.coins() / 255
+    question = presets.simulate(
+        "ptychography", dimmed, models.Poisson(100), jax.random.key(0), size=16
+    )
+    assert sorted({*presets.PRIOR_PICTURES} - {*question.prior}) == ["coins"]
+
+
+@pytest.mark.parametrize("size", [16, 32, 48, 64, 128, 256])
+def test_the_aperture_grid_fits_and_overlaps(size):
+    centres, radius = presets.aperture_grid(size)
+    upsampling = 4 if size >= 64 else 2
+    models.FourierPtychography.from_radius((size, size), centres, radius, upsampling)
+    half = (centres[1] - centres[0])[1] / radius / 2
+    overlap = 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+    assert overlap == pytest.approx(0.6, abs=0.01)
+
+
+# ---- refusals ------------------------------------------------------------------------------------
+
+
+def _refused(capsys, *arguments, problem="denoising"):
+    status = _main("sample", problem, *SMALL, *arguments)
+    said = capsys.readouterr()
+    assert status == 2
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert said.err.startswith("posterior: ")
+    return said.err.strip()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "give either --image"),
+        (["--image", "{}/picture.png", "--data", "{}/counts.npy"], "give either --image"),
+        (["--image", "{}/nowhere.png"], "nowhere.png: give the path of a picture"),
+        (["--image", "{}/picture.png", "--sampler", "gibbs"], "use one of mala, annealed"),
+        (["--image", "{}/picture.png", "--size", "99"], "size 99 .*: give 16 or less"),
+        (["--image", "{}/picture.png", "--size", "3"], "--size 3: give a whole number, 4 or more"),
+        (
+            ["--image", "{}/picture.png", "--draws", "0"],
+            "--draws 0: give a whole number, 1 or more",
+        ),
+        (["--image", "{}/picture.png", "--draws", "many"], "'--draws'"),
+        (
+            ["--image", "{}/picture.png", "--full-well", "0"],
+            "--full-well 0: give a whole number, 1 to 8388607",
+        ),
+        (["--image", "{}/picture.png", "--full-well", "99999999"], "1 to 8388607"),
+        (["--image", "{}/picture.png", "--bits", "17"], "--bits 17: give a whole number, 0 to 16"),
+        (["--image", "{}/picture.png", "--page", "4"], "page 4 .* it has one page"),
+        (["--image", "{}/pages.tif"], "holds 2 pages: choose one with --page"),
+        (["--image", "{}/specimen.npy"], "complex: denoising is of real objects"),
+        (["--image", "{}/picture.png", "--irradiance", "2"], "irradiance 2.0: .* leave it out"),
+        (["--image", "{}/picture.png", "--oversampling", "2"], "oversampling 2 is for phase"),
+        (["--image", "{}/picture.png", "--prior", "{}/nowhere"], "nowhere: give the path"),
+        (["--image", "{}/picture.png", "--prior", "{}/empty"], "holds no pictures"),
+        (["--image", "{}/picture.png", "--prior", "{}/picture.png"], "give a prior of others"),
+        (["--image", "{}/picture.png", "--sampler", "ensemble"], "use samplers.MALA"),
+        (["--image", "{}/truncated.png"], "damaged or truncated"),
+        (["--image", "{}/nan.npy"], "holds NaN or infinity in 1 places"),
+        (["--image", "{}/flat.npy"], "has the value 0.5 everywhere"),
+        (["--image", "{}/loud.npy"], "the value 12, outside 0..1: divide it by its full scale"),
+        (["--image", "{}"], "is a folder: give one picture|no file"),
+        (["--data", "{}/codes.npy"], "--data needs --full-well"),
+        (["--data", "{}/codes.npy", "--full-well", "100"], "how many bits with --bits"),
+        (["--data", "{}/counts.npy", "--full-well", "70"], "not a whole number"),
+        (["--data", "{}/loud.npy", "--full-well", "70"], "above the full well"),
+        (["--data", "{}/counts.npy", "--full-well", "100", "--size", "8"], "leave out --size"),
+        (["--data", "{}/pages.tif", "--full-well", "255", "--bits", "8"], "one grey page"),
+        (["--data", "{}/specimen.npy", "--full-well", "100"], "complex data"),
+        (["--nonsense"], "No such option"),
+    ],
+)
+def test_refusals_are_one_sentence_and_write_nothing(folder, tmp_path, capsys, arguments, sentence):
+    _bad_inputs(folder)
+    out = tmp_path / "out"
+    said = _refused(capsys, *[a.format(folder) for a in arguments], "--out", out)
+    assert re.search(sentence, said), said
+    assert not out.exists()
+
+
+def _bad_inputs(folder):
+    whole = (folder / "picture.png").read_bytes()
+    (folder / "truncated.png").write_bytes(whole[: len(whole) // 2])
+    (folder / "empty").mkdir(exist_ok=True)
+    picture = _smooth(16)
+    np.save(folder / "flat.npy", np.full((16, 16), 0.5))
+    np.save(folder / "loud.npy", np.where(picture == picture.max(), 12.0, 0.5))
+    np.save(folder / "nan.npy", np.where(picture == picture.max(), np.nan, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("problem", "name", "array", "extra", "sentence"),
+    [
+        ("deblurring", "a.npy", _smooth(16), [], "unknown problem 'deblurring': use one of deno"),
+        ("phase-retrieval", "a.npy", np.zeros((17, 16)), [], "oversampling 2 must divide it"),
+        ("phase-retrieval", "a.npy", np.zeros((16, 16)), [], "dark everywhere"),
+        ("ptychography", "a.npy", np.zeros((48, 8, 8)), [], r"give \(49, n, n\)"),
+        ("ptychography", "a.npy", np.zeros((49, 8, 8)), ["--size", "24"], "4 times as wide"),
+    ],
+)
+def test_recordings_that_do_not_fit(tmp_path, capsys, problem, name, array, extra, sentence):
+    np.save(tmp_path / name, array)
+    said = _refused(
+        capsys, "--data", tmp_path / name, "--full-well", 100, "--out", tmp_path / "out", *extra,
+        problem=problem,
+    )  # fmt: skip
+    assert re.search(sentence, said), said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_far_field_with_its_zero_in_the_middle_is_refused(tmp_path, capsys):
+    y = np.zeros((16, 16))
+    y[8, 8] = 1
+    np.save(tmp_path / "y.npy", y)
+    arguments = ("--data", tmp_path / "y.npy", "--full-well", 1, "--out", tmp_path / "out")
+    said = _refused(capsys, *arguments, problem="phase-retrieval")
+    assert "bring the zero frequency to index 0 with numpy.fft.ifftshift" in said
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is read-only to the superuser")
+def test_a_read_only_folder_is_refused(folder, tmp_path, capsys):
+    tmp_path.chmod(0o500)
+    said = _refused(capsys, "--image", folder / "picture.png", "--out", tmp_path / "out")
+    tmp_path.chmod(0o700)
+    assert "cannot write to" in said
+
+
+def test_a_file_in_place_of_the_folder_is_refused(folder, tmp_path, capsys):
+    (tmp_path / "out").write_text("mine")
+    said = _refused(capsys, "--image", folder / "picture.png", "--out", tmp_path / "out")
+    assert "cannot write to" in said
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def _repeat_refused(capsys, *arguments):
+    status = _main("repeat", *arguments)
+    said = capsys.readouterr().err
+    assert status == 2
+    assert said.count("\n") == 1
+    return said
+
+
+def test_repeat_refuses_what_is_no_settings_file(tmp_path, capsys):
+    path = tmp_path / "settings.json"
+    assert "no file" in _repeat_refused(capsys, path, "--out", tmp_path / "out")
+    for text in ("{", "[]", "{}", '{"options": {"problem": "denoising"}}'):
+        path.write_text(text)
+        assert "is not the settings.json" in _repeat_refused(capsys, path, "--out", tmp_path / "o")
+    assert _files(tmp_path) == {"settings.json"}
+
+
+def test_repeat_refuses_an_input_that_has_changed(denoised, folder, tmp_path, capsys):
+    path = tmp_path / "settings.json"
+    settings = json.loads((denoised / "settings.json").read_text())
+    settings["options"]["image"] = str(folder / "deep.tif")
+    path.write_text(json.dumps(settings))
+    said = _repeat_refused(capsys, path, "--out", tmp_path / "out")
+    assert "deep.tif has changed since the run" in said
+    settings = json.loads((denoised / "settings.json").read_text())
+    settings["prior"]["1.png"] = "0" * 64
+    path.write_text(json.dumps(settings))
+    said = _repeat_refused(capsys, path, "--out", tmp_path / "out")
+    assert "prior picture 1.png has changed since the run" in said
