@@ -17,7 +17,7 @@ from .spread import circular_sd, interval_width
 
 _INCH = 2.0  # a side of a panel
 _DPI = 150
-_DRAWS = ("a draw", "another draw", "a third", "a fourth")
+_DRAWS = ("a draw", "another draw", "a third draw", "a fourth draw")
 _GREY, _SPREAD, _WIDTH, _PHASE = "gray", "viridis", "magma", "twilight"
 
 
@@ -117,7 +117,7 @@ def _real_overview(
 ) -> Figure:
     grey = _scale([*draws[:2], mean, *([] if truth is None else [truth])], _GREY)
     error = [] if truth is None else [np.abs(mean - truth)]
-    spread, wide = _scale([sd, *error], _SPREAD, zero=True), _scale([width], _WIDTH, zero=True)
+    spread, wide = _spread_scale(sd, *error), _scale([width], _WIDTH, zero=True)
     own = grey if data_is_object else _scale([data], _GREY)
     top = [("truth", truth, grey), (data_title, data, own), ("posterior mean", mean, grey)]
     bottom = [("a draw", draws[0], grey), ("another draw", draws[1], grey)]
@@ -156,14 +156,14 @@ def _complex_overview(
     objects = [("posterior mean", mean), *draws]
     if truth is not None:
         objects = [("truth", truth), *objects[:3]]
-    figure, grid = _canvas(5, 3, [0.08] + [1] * 5, mean.shape[0] / mean.shape[1], under=0.45)
+    figure, grid = _canvas(5, 3, [0.08] + [1] * 5, mean.shape[0] / mean.shape[1], 0.15, 0.45)
     _panel(figure, grid[2, 1], data_title, data, _scale([data], _GREY))
     parts = (np.abs, "amplitude", "amplitude"), (np.angle, "phase", "phase / rad")
     for row, (part, name, unit) in enumerate(parts):
         pictures = [part(o) for _, o in objects]
         scale = _phase_scale(pictures) if name == "phase" else _scale(pictures, _GREY)
         error = [] if truth is None else [_ERRORS[name](mean, truth)]
-        spread = _scale([sd[row], *error], _SPREAD, zero=True)
+        spread = _spread_scale(sd[row], *error)
         wide = _scale([width[row]], _WIDTH, zero=True)
         panels = [(heading, p, scale) for (heading, _), p in zip(objects, pictures)]
         panels += [("error of the mean", e, spread) for e in error]
@@ -189,10 +189,15 @@ def _phase_scale(phases: Sequence[np.ndarray]) -> ScalarMappable:
 
 
 def _canvas(
-    panels: int, rows: int, ratios: Sequence[float], aspect: float, under: float = 0.0
+    panels: int,
+    rows: int,
+    ratios: Sequence[float],
+    aspect: float,
+    right: float = 0.65,
+    under: float = 0.0,
 ) -> tuple[Figure, GridSpec]:
-    """A figure of square panels; `under`: inches left free below them."""
-    width = _INCH * sum(ratios) + 0.1 * _INCH * len(ratios) + 1.2
+    """A figure of panels; `right` and `under`: inches left free beside and below them."""
+    width = _INCH * sum(ratios) + 0.1 * _INCH * len(ratios) + 0.55 + right
     height = rows * (_INCH * aspect + 0.3) + 0.55 + under
     figure = Figure(figsize=(width, height))
     grid = GridSpec(
@@ -201,7 +206,7 @@ def _canvas(
         figure,
         width_ratios=ratios,
         left=0.65 / width,
-        right=1 - 0.65 / width,
+        right=1 - right / width,
         bottom=(0.12 + under) / height,
         top=1 - 0.62 / height,
         wspace=0.1 * len(ratios) / sum(ratios),
@@ -215,6 +220,12 @@ def _scale(pictures: Sequence[np.ndarray], colours: str, zero: bool = False) -> 
     values = np.concatenate([np.ravel(p) for p in pictures])
     low, high = np.quantile(values, [0.005, 0.995])
     return ScalarMappable(Normalize(0 if zero else low, high), mpl.colormaps[colours])
+
+
+def _spread_scale(sd: np.ndarray, *errors: np.ndarray) -> ScalarMappable:
+    """From zero, for a map of sd and the errors it should foretell: nearly all are under 2 sd."""
+    top = max(np.quantile(sd, 0.995), *(np.quantile(e, 0.95) for e in errors), 0)
+    return ScalarMappable(Normalize(0, top), mpl.colormaps[_SPREAD])
 
 
 def _panel(

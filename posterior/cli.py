@@ -599,7 +599,7 @@ EXAMPLES = {
     DENOISING: Example(
         "Denoising: a photograph in dim light",
         "camera",
-        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 20, "warmup": 2000},
+        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 25, "warmup": 2000},
         "One recording of at most 100 electrons a pixel, the mean of what it allows and two of the "
         "pictures it allows; the error of the mean and the standard deviation have one colour "
         "scale, so where the scale says that the mean is sure it should also be right.",
@@ -607,7 +607,7 @@ EXAMPLES = {
     PTYCHOGRAPHY: Example(
         "Fourier ptychography: amplitude and phase of a thin specimen",
         "camera",
-        {"full_well": 1000, "bits": 10, "size": 64, "draws": 300, "thin": 25, "warmup": 3000},
+        {"full_well": 1000, "bits": 10, "size": 64, "draws": 300, "thin": 30, "warmup": 3000},
         "From 49 dim recordings of 16 x 16 pixels, one a LED, a complex object of 64 x 64: "
         "amplitude above, phase in the middle, and below how sure both are.",
     ),
@@ -670,8 +670,8 @@ _REPORT = """# What a recording says, and how surely
 
 Each example records a known picture with a simulated camera, forgets the picture, and draws from
 everything that the recording allows. A draw is one possible object; where draws agree the recording
-decides, where they differ it does not. The last number of each list is the test: an interval that
-claims 90 % has to hold the truth in about 90 % of the pixels.
+decides, where they differ it does not. The line "truth inside" is the test: an interval that claims
+90 % has to hold the truth in about 90 % of the pixels.
 
 {sections}
 ## What is certain, and what is not
@@ -689,8 +689,12 @@ _SECTION = """## {title}
 
 {caption}
 
-{problem} of `{file}` ({size} x {size} pixels), full well {full_well} electrons, {bits} bits; prior
-fitted to {others} other pictures; sampler {sampler}, {chains} chains x {draws} draws, seed {seed}.
+- object: `{file}`, {size} x {size} pixels
+- camera: full well {full_well} electrons, {bits} bits
+- prior: a Gaussian field fitted to {others} other pictures
+- sampler: {sampler}, {chains} chains x {draws} draws, seed {seed}
+
+Found:
 
 {numbers}
 

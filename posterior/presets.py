@@ -353,10 +353,16 @@ def _prior_object(name: str, label: str, picture: np.ndarray, side: int) -> np.n
 
 
 def _same_picture(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether the two differ by brightness and contrast only, as objects or as amplitudes."""
     side = min(*a.shape, *b.shape)
-    a, b = (fit_to(p, side) - fit_to(p, side).mean() for p in (a, b))
+    a, b = fit_to(a, side), fit_to(b, side)
+    return any(_correlation(f(a), f(b)) > _SAME_PICTURE for f in (np.asarray, np.abs))
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    a, b = a - a.mean(), b - b.mean()
     norm = np.linalg.norm(a) * np.linalg.norm(b)
-    return bool(np.abs(np.vdot(a, b)) > _SAME_PICTURE * norm)
+    return float(np.abs(np.vdot(a, b)) / norm) if norm > 0 else 0.0
 
 
 # ---- samplers by name ----------------------------------------------------------------------------

@@ -48,6 +48,11 @@ class AnnealedLangevin(Sampler):
     objects, "split"): too wide, for comparison. `polish` > 0 adds that many MALA steps on the exact
     posterior, tuned in warm-up, to each draw. `sigma_max`, `sigma_min` override the levels' range.
 
+    Widths of a mode are right to a few per cent; the odds between modes that lie far apart are
+    not guaranteed. They freeze at the level where the modes separate, whose likelihood takes the
+    annealing error to be independent of the object; modes that the data cannot tell apart (twins,
+    shifts, phases) keep the odds of the prior. `polish` cannot move them: check with TemperedSMC.
+
     For the signal-dependent perturbation the variable must stay positive: it is reflected at zero.
     """
 
