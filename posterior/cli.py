@@ -435,7 +435,7 @@ def _warnings(results: dict[str, float], options: Options) -> list[str]:
     elif results["rhat"] > _MIXED:
         said.append(
             f"the chains have not mixed: R-hat is above {_MIXED} in "
-            f"{100 * results['unmixed']:.0f} % of the pixels, up to {results['rhat']:.2f}; do not "
+            f"{100 * results['unmixed']:.1f} % of the pixels, up to {results['rhat']:.3g}; do not "
             "trust the intervals there, give more --thin, --draws or --warmup"
         )
     if results.get("ess", _FEW) < _FEW:
@@ -539,7 +539,7 @@ def _lines(results: dict[str, float]) -> list[str]:
         if name in _COVERED
     ]
     if "rhat" in results:
-        lines.append(f"R-hat, largest of all pixels: {results['rhat']:.3f}")
+        lines.append(f"R-hat, largest of all pixels: {results['rhat']:.4g}")
     if "ess" in results:
         lines.append(f"effective draws, smallest of all pixels: {results['ess']:.0f}")
     return lines
@@ -599,7 +599,7 @@ EXAMPLES = {
     DENOISING: Example(
         "Denoising: a photograph in dim light",
         "camera",
-        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 25, "warmup": 2000},
+        {"full_well": 100, "bits": 8, "size": 96, "draws": 500, "thin": 20, "warmup": 1500},
         "One recording of at most 100 electrons a pixel, the mean of what it allows and two of the "
         "pictures it allows; the error of the mean and the standard deviation have one colour "
         "scale, so where the scale says that the mean is sure it should also be right.",
@@ -607,8 +607,8 @@ EXAMPLES = {
     PTYCHOGRAPHY: Example(
         "Fourier ptychography: amplitude and phase of a thin specimen",
         "camera",
-        {"full_well": 1000, "bits": 10, "size": 64, "draws": 300, "thin": 30, "warmup": 3000},
-        "From 49 dim recordings of 16 x 16 pixels, one a LED, a complex object of 64 x 64: "
+        {"full_well": 1000, "bits": 10, "size": 48, "draws": 300, "thin": 30, "warmup": 2000},
+        "From 49 dim recordings, one a LED, a complex object of 48 x 48 pixels: "
         "amplitude above, phase in the middle, and below how sure both are.",
     ),
 }

@@ -29,6 +29,12 @@ def _quick_to_compile():
     jax.config.update("jax_disable_most_optimizations", False)
 
 
+@pytest.fixture
+def few_levels(monkeypatch):
+    """Anneal in a hurry: these runs are about files, not about draws."""
+    monkeypatch.setattr(presets, "_ANNEALED", {"levels": 5, "steps": 1})
+
+
 def _smooth(size):
     """A random picture in 0.1..0.7 with the look of a blurred one."""
     frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(size)] * 2)) + 1 / size
@@ -186,14 +192,14 @@ def test_a_recording_has_no_truth(folder, tmp_path, capsys):
     np.testing.assert_allclose(ps.load(out / "draws.nc").data, counts, atol=1e-6)
 
 
-def test_phase_retrieval(folder, tmp_path):
+def test_phase_retrieval(folder, tmp_path, few_levels):
     settings = _run(folder, tmp_path / "run", problem="phase-retrieval")
     assert _files(tmp_path / "run") == REAL
     assert settings["options"]["sampler"] == "mala"
     assert ps.load(tmp_path / "run" / "draws.nc").data.shape == (32, 32)
 
 
-def test_ptychography_of_a_complex_specimen(folder, tmp_path):
+def test_ptychography_of_a_complex_specimen(folder, tmp_path, few_levels):
     extra = ("--sampler", "annealed", "--draws", 1, "--chains", 2)
     settings = _run(folder, tmp_path / "run", *extra, problem="ptychography", image="specimen.npy")
     assert _files(tmp_path / "run") == COMPLEX
