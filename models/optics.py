@@ -193,6 +193,7 @@ class FourierPtychography(Optics):
 
     centres: jax.Array
     pupil: jax.Array
+    largest: jax.Array
 
     def __init__(
         self,
@@ -206,6 +207,8 @@ class FourierPtychography(Optics):
         self.out_shape = (len(centres), *pupil.shape)
         self.centres = jnp.asarray(centres)
         self.pupil = jnp.asarray(pupil + 0j)
+        # Found once, here: a sampler asks for it at every step.
+        self.largest = jnp.asarray(_largest_transmission(self.in_shape, centres, pupil))
 
     @classmethod
     def from_radius(
@@ -337,8 +340,7 @@ class FourierPtychography(Optics):
 
     def norm_squared(self) -> jax.Array:
         """Largest value of sum_m |sqrt(n_low / n_high) pupil(k - k_m)|^2, exact."""
-        power = jnp.abs(self._gained_pupil(self.pupil)) ** 2
-        return jnp.max(self._overlap_add(jnp.broadcast_to(power, self.out_shape)))
+        return self.largest
 
 
 @final
@@ -657,6 +659,17 @@ def _reach(centres: np.ndarray, pupil: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Lowest and highest frequency (M, 2) that the pupil lets through around each centre."""
     offsets = np.argwhere(pupil != 0) - np.array(pupil.shape) // 2
     return centres + offsets.min(axis=0), centres + offsets.max(axis=0)
+
+
+def _largest_transmission(
+    shape: tuple[int, ...], centres: np.ndarray, pupil: np.ndarray
+) -> np.float64:
+    """Largest sum over the LEDs of the power that a frequency passes on, with the gain."""
+    total = np.zeros([h + 2 * n for h, n in zip(shape, pupil.shape)])
+    corners = centres + [h // 2 - n // 2 + n for h, n in zip(shape, pupil.shape)]
+    for row, column in corners:
+        total[row : row + pupil.shape[0], column : column + pupil.shape[1]] += np.abs(pupil) ** 2
+    return total.max() * pupil.size / math.prod(shape)
 
 
 def _needed_shape(centres: np.ndarray, pupil: np.ndarray) -> np.ndarray:

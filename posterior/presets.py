@@ -408,7 +408,6 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
-    # Without a polish XLA's compiler for CPUs (jax 0.10) fails on ptychography.
-    scout = AnnealedLangevin(**_ANNEALED, polish=1)
+    scout = AnnealedLangevin(**_ANNEALED)
     found = sample(posterior, scout, key, chains=chains, draws=1, warmup=0, progress=False)
     return found.values[:, 0]

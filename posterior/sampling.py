@@ -15,7 +15,7 @@ from .checkpoint import Checkpoint, fingerprint
 from .draws import Draws, versions
 from .problem import Posterior
 from .samplers import Ensemble
-from .samplers.base import PopulationSampler, Sampler, vmap_init, vmap_step
+from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
 
 _CHUNK_SECONDS = 2.0
 _BUFFER_BYTES = 64 * 2**20
@@ -164,6 +164,9 @@ def _run_chains(
                 store.save(_without_posterior(run), len(pieces), new)
 
         report(run, "")
+        if plan.sampler.tunes_itself() and warm_total and not int(run.warmed):
+            run = _own_warmup(plan.sampler, plan.warmup, run, keys)
+            save(run, None)
         pace = _Pace()
         while int(run.warmed) < warm_total:
             count = min(pace.steps(), warm_total - int(run.warmed))
@@ -257,6 +260,18 @@ def _warm(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array, count: jax.
         return i + 1, run
 
     return jax.lax.while_loop(lambda c: (c[0] < count) & (c[1].bad_step < 0), body, (0, run))[1]
+
+
+@eqx.filter_jit
+def _own_warmup(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array) -> _Run:
+    """Every chain after the sampler's own warm-up, which counts as the whole."""
+    axes = chain_axes(run.states, sampler.shared)
+    states = jax.vmap(
+        lambda key, state: sampler.own_warmup(key, state, warmup),
+        in_axes=(0, axes),
+        out_axes=axes,
+    )(_fold(keys, 1), run.states)
+    return run._replace(states=states, warmed=run.warmed + warmup)
 
 
 @eqx.filter_jit
@@ -359,7 +374,7 @@ def _run_population(
                 store.save((states._replace(posterior=None), np.asarray(step)), 0, None)
             note = f"step {step}, {_acceptance_note(jnp.mean(info.acceptance_rate))}"
             bar.update(task, completed=float(jnp.min(info.temperature)), note=note)
-    axes = type(states)(*(None if f in plan.sampler.shared else 0 for f in states._fields))
+    axes = chain_axes(states, plan.sampler.shared)
     values = np.asarray(jax.vmap(plan.sampler.population, in_axes=(axes,))(states))
     return values, *_moments_of(values), {}
 
@@ -369,7 +384,7 @@ def _begin_population(
     sampler: PopulationSampler, keys: jax.Array, posterior: Posterior, size: int
 ) -> Any:
     example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
-    axes = type(example)(*(None if f in sampler.shared else 0 for f in example._fields))
+    axes = chain_axes(example, sampler.shared)
     return jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(keys)
 
 
@@ -452,7 +467,7 @@ def _fold(keys: jax.Array, index: jax.Array | int) -> jax.Array:
 
 
 def _positions(sampler: Sampler, states: Any) -> jax.Array:
-    axes = type(states)(*(None if f in sampler.shared else 0 for f in states._fields))
+    axes = chain_axes(states, sampler.shared)
     return jax.vmap(sampler.position, in_axes=(axes,))(states)
 
 

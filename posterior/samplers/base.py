@@ -51,6 +51,14 @@ class Sampler(eqx.Module):
         """How warm-up tunes this sampler, or None if it has nothing to tune."""
         return None
 
+    def tunes_itself(self) -> bool:
+        """Whether warm-up is `own_warmup`, one chain at a time, and not an `adaptation`."""
+        return False
+
+    def own_warmup(self, key: jax.Array, state: State, steps: int) -> State:
+        """One chain after a warm-up of the sampler's own making."""
+        raise NotImplementedError(f"{type(self).__name__} has no warm-up of its own")
+
     def as_blackjax(self, posterior: Posterior) -> Any:
         """This sampler, bound to a posterior, as a `blackjax.SamplingAlgorithm`."""
         import blackjax

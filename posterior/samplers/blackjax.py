@@ -49,9 +49,8 @@ class BlackJAX(Sampler):
             for name, value in parameters.items()
         }
 
-    @property
-    def tuned(self) -> bool:
-        """Whether warm-up tunes this algorithm."""
+    def tunes_itself(self) -> bool:
+        """Whether BlackJAX's window adaptation knows this algorithm."""
         return any(self.algorithm is getattr(blackjax, name) for name in _WINDOWED)
 
     def init(
@@ -60,7 +59,7 @@ class BlackJAX(Sampler):
         """State at `position`, or at a dispersed start."""
         position = posterior.start(key) if position is None else position
         parameters = {k: v for k, v in self.parameters.items() if _is_array(v)}
-        if self.tuned:
+        if self.tunes_itself():
             size = real_size(posterior.shape, posterior.dtype)
             dtype = position.real.dtype
             parameters.setdefault("step_size", jnp.asarray(0.1, dtype))
@@ -81,16 +80,14 @@ class BlackJAX(Sampler):
         """The object of the real view."""
         return from_real(state.inner.position, state.posterior.shape, state.posterior.dtype)
 
-    def window_adaptation(self, key: jax.Array, state: BlackJAXState, steps: int) -> BlackJAXState:
+    def own_warmup(self, key: jax.Array, state: BlackJAXState, steps: int) -> BlackJAXState:
         """One chain after BlackJAX's window adaptation of `steps` steps."""
         extra = {
             name: value
             for name, value in self.parameters.items()
             if name not in ("step_size", "inverse_mass_matrix")
         }
-        warmup = blackjax.window_adaptation(
-            self.algorithm, _log_density(state.posterior), progress_bar=False, **extra
-        )
+        warmup = blackjax.window_adaptation(self.algorithm, _log_density(state.posterior), **extra)
         result, _ = warmup.run(key, state.inner.position, steps)
         tuned = {k: v for k, v in result.parameters.items() if k in state.parameters}
         return state._replace(inner=result.state, parameters={**state.parameters, **tuned})

@@ -6,18 +6,19 @@ import subprocess
 import sys
 import time
 
+import blackjax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import posterior as ps
-from posterior import models, samplers
+from posterior import diagnostics, models, samplers
 
 SCRIPT = """
 import sys, jax, numpy as np
 import posterior as ps
-from posterior import models, samplers
+from posterior import diagnostics, models, samplers
 prior = models.GaussianPrior(0.0, 1.0, (3,))
 likelihood = models.LinearLikelihood(models.Identity((3,)), models.Gaussian(0.5))
 post = ps.Problem(likelihood, prior).condition(np.array([0.1, 0.2, 0.3], np.float32))
@@ -185,3 +186,25 @@ BAD = [
 def test_bad_input_is_one_sentence(build, sentence):
     with pytest.raises(ValueError, match=sentence):
         build()
+
+
+def test_nuts_is_tuned_by_its_warmup():
+    """Scales from 0.01 to 5: with the step and metric it starts from it would not move."""
+    scale = np.geomspace(0.01, 10, 6)
+    prior = models.GaussianPrior(np.zeros(6), np.diag(scale**2), (6,))
+    likelihood = models.LinearLikelihood(models.Identity((6,)), models.Gaussian(5.0))
+    post = ps.Problem(likelihood, prior).condition(np.ones(6))
+    sampler = samplers.BlackJAX(blackjax.nuts)
+    values = run(post, sampler, chains=4, draws=500, warmup=500).values
+    assert diagnostics.rhat(values).max() < 1.05
+
+
+def test_annealed_langevin_runs_on_ptychography():
+    centres = [[0, 0], [2, 2], [-2, 1]]
+    optics = models.FourierPtychography.from_radius((16, 16), centres, 3.0, 2)
+    prior = models.GaussianField(np.full((16, 16), 0.1), 1.0, dtype=complex)
+    likelihood = models.IntensityLikelihood(optics, models.Poisson(1000), irradiance=0.3)
+    problem = ps.Problem(likelihood, prior)
+    _, y = problem.simulate(jax.random.key(0))
+    values = run(problem.condition(y), samplers.AnnealedLangevin(levels=5, steps=2), draws=1).values
+    assert values.shape == (2, 1, 16, 16)
