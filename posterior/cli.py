@@ -599,7 +599,7 @@ EXAMPLES = {
     DENOISING: Example(
         "Denoising: a photograph in dim light",
         "camera",
-        {"full_well": 100, "bits": 8, "size": 96, "draws": 500, "thin": 20, "warmup": 1500},
+        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 25, "warmup": 2000},
         "One recording of at most 100 electrons a pixel, the mean of what it allows and two of the "
         "pictures it allows; the error of the mean and the standard deviation have one colour "
         "scale, so where the scale says that the mean is sure it should also be right.",
