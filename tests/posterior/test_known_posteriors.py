@@ -148,9 +148,9 @@ def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
     It models counts as Gaussian: at 75 to 200 electrons a pixel its mean is off by less than
     0.05 sd and its sd by less than 5 % of the exact posterior's, averaged over the pixels.
     """
-    post, concentration, rate = gamma_poisson(30.0, 60.0, 8, 200)
+    post, concentration, rate = gamma_poisson(30.0, 60.0, 16, 200)
     sampler = samplers.AnnealedLangevin(levels=100, steps=5, path=path)
-    values = draw(post, sampler, chains=200, draws=1)
+    values = draw(post, sampler, chains=250, draws=1)
     mean, sd = concentration / rate, np.sqrt(concentration) / rate
     assert abs(np.mean((values.mean((0, 1)) - mean) / sd)) < 0.05
     assert abs(np.mean(values.std((0, 1)) / sd) - 1) < 0.05
