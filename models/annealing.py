@@ -21,7 +21,6 @@ import jax.numpy as jnp
 from jax.scipy.special import i0e, i1e
 
 PATHS = ("split", "convolved")
-PERTURBATIONS = ("gaussian", "signal")
 
 
 def component_sd(sigma: jax.Array | float, complex_object: bool) -> jax.Array | float:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..annealing import component_sd
 from ..realview import from_real, is_complex, real_score, to_real
 
 
@@ -48,7 +49,7 @@ class Prior(eqx.Module):
 
     def _component_sd(self, sigma: jax.Array | float) -> jax.Array | float:
         """Standard deviation of the annealing error per real component (eq:part_complex)."""
-        return sigma / 2 if self.complex_valued else sigma
+        return component_sd(sigma, self.complex_valued)
 
     def _to_object(self, v: jax.Array) -> jax.Array:
         return from_real(v, self.shape, self.dtype)
