@@ -1,0 +1,92 @@
+"""The options: those that decide the draws of a run, and those that every command takes."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..presets import APPLICATIONS, SAMPLERS
+
+Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+
+_RANGES = {
+    "full_well": (1, 2**23 - 1),
+    "bits": (0, 16),
+    "draws": (1, None),
+    "chains": (1, None),
+    "warmup": (0, None),
+    "thin": (1, None),
+    "seed": (0, 2**31 - 1),
+    "size": (4, None),
+    "page": (0, None),
+    "oversampling": (1, None),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """All that decides the draws of a run. None: not said; 0 bits: no ADC."""
+
+    problem: str
+    image: str | None = None
+    data: str | None = None
+    full_well: int | None = None
+    bits: int | None = None
+    sampler: str | None = None
+    draws: int | None = None
+    chains: int = 4
+    warmup: int | None = None
+    thin: int | None = None
+    seed: int = 0
+    size: int | None = None
+    prior: str | None = None
+    irradiance: float | None = None
+    page: int | None = None
+    oversampling: int | None = None
+
+    def resolved(self) -> "Options":
+        """With the defaults of problem and sampler filled in; refuses what cannot go together."""
+        application = _known("problem", self.problem, APPLICATIONS)
+        name = self.sampler or application.sampler
+        sampling = _known("sampler", name, SAMPLERS)
+        if (self.image is None) == (self.data is None):
+            raise ValueError("give either --image (a picture to record) or --data (a recording)")
+        if self.data is not None and self.full_well is None:
+            raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
+        for option, (least, most) in _RANGES.items():
+            _check_range(option, getattr(self, option), least, most)
+        simulated = self.image is not None
+        return dataclasses.replace(
+            self,
+            image=_absolute(self.image),
+            data=_absolute(self.data),
+            prior=_absolute(self.prior),
+            full_well=application.full_well if self.full_well is None else self.full_well,
+            bits=(application.bits if simulated else 0) if self.bits is None else self.bits,
+            sampler=name,
+            draws=sampling.draws if self.draws is None else self.draws,
+            thin=sampling.thin if self.thin is None else self.thin,
+        )
+
+
+def _known(kind: str, name: str, table: dict[str, Any]) -> Any:
+    if name not in table:
+        raise ValueError(f"unknown {kind} {name!r}: use one of {', '.join(table)}")
+    return table[name]
+
+
+def _check_range(option: str, value: int | None, least: int, most: int | None) -> None:
+    if value is None:
+        return
+    # settings.json can hold anything.
+    if not isinstance(value, int) or value < least or (most is not None and value > most):
+        wanted = f"{least} or more" if most is None else f"{least} to {most}"
+        raise ValueError(f"--{option.replace('_', '-')} {value}: give a whole number, {wanted}")
+
+
+def _absolute(path: str | None) -> str | None:
+    return None if path is None else os.path.abspath(path)

@@ -1,0 +1,133 @@
+"""A run from beginning to end: the question, its draws, what they say, and the results written."""
+
+import dataclasses
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import typer
+
+from .. import presets
+from ..draws import Draws, versions
+from ..images import read_picture, split_key
+from ..models.camera import Poisson
+from ..presets import SAMPLERS, Question
+from ..problem import Posterior
+from ..samplers import Ensemble, Sampler
+from ..sampling import sample
+from .options import Options
+from .outputs import CHECKPOINT, prepare, write
+from .summary import summarise
+from .words import doubts, tell
+
+
+def run(
+    options: Options,
+    out: Path,
+    overwrite: bool = False,
+    quiet: bool = False,
+    earlier: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Sample, write the results to `out`, say what was found; returns the settings written.
+
+    A run that was killed goes on from its checkpoint. With `earlier`, settings of a finished run,
+    it refuses an input or a prior that has changed since. Raises as `sample` does, ValueError for
+    options that do not fit, and OSError if `out` cannot be written.
+    """
+    options, began = options.resolved(), time.perf_counter()
+    source = options.image or options.data
+    digest = _file_hash(source)
+    key_record, key_start, key_draws = jax.random.split(jax.random.key(options.seed), 3)
+    question = _question(options, key_record)
+    _refuse_changed(earlier, digest, question)
+    posterior = question.problem.condition(question.y)
+    sampler = SAMPLERS[options.sampler].build(posterior)
+    if isinstance(sampler, Ensemble):
+        sampler.size(posterior)
+    created = prepare(out, overwrite)
+    try:
+        draws = _draw(options, posterior, sampler, key_start, key_draws, out / CHECKPOINT, quiet)
+    except ValueError:
+        if created and not any(out.iterdir()):
+            out.rmdir()
+        raise
+    summary = summarise(draws, question, options.problem, sampler)
+    settings = {
+        "options": dataclasses.asdict(options),
+        "input": {"file": Path(source).name, "sha256": digest},
+        "prior": question.prior,
+        "irradiance": question.irradiance,
+        "sampler": draws.settings["sampler"],
+        "warmup": draws.settings["warmup"],
+        "results": summary.results,
+        "warnings": doubts(summary.results, options.sampler),
+        "seconds": round(time.perf_counter() - began, 1),
+        "versions": versions(),
+    }
+    write(out, draws, question, summary, settings)
+    tell(out, settings)
+    return settings
+
+
+def _file_hash(path: str) -> str:
+    file = split_key(path)[0]
+    if not os.path.isfile(file):
+        raise FileNotFoundError(f"no file {file}: give the path of a picture")
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _question(options: Options, key: jax.Array) -> Question:
+    camera = Poisson(options.full_well, options.bits or None)
+    picture = read_picture(options.image or options.data, options.page)
+    given = {
+        name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
+    }
+    if options.data is not None:
+        return presets.record(options.problem, picture, camera, **given)
+    return presets.simulate(options.problem, picture, camera, key, **given)
+
+
+def _refuse_changed(earlier: dict[str, Any] | None, digest: str, question: Question) -> None:
+    if earlier is None:
+        return
+    file = earlier["options"]["image"] or earlier["options"]["data"]
+    if earlier["input"]["sha256"] != digest:
+        raise ValueError(f"{file} has changed since the run: put the same file there")
+    if earlier["prior"] != question.prior:
+        changed = sorted(set(earlier["prior"].items()) ^ set(question.prior.items()))
+        raise ValueError(f"prior picture {changed[0][0]} has changed since the run: put it back")
+
+
+def _draw(
+    options: Options,
+    posterior: Posterior,
+    sampler: Sampler,
+    key_start: jax.Array,
+    key_draws: jax.Array,
+    checkpoint: Path,
+    quiet: bool,
+) -> Draws:
+    try:
+        return sample(
+            posterior,
+            sampler,
+            key_draws,
+            chains=options.chains,
+            draws=options.draws,
+            warmup=options.warmup,
+            thin=options.thin,
+            start=presets.start_of(options.sampler, posterior, key_start, options.chains),
+            progress=not quiet,
+            checkpoint=checkpoint,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"interrupted: what is done is in {checkpoint}, the same command goes on from it",
+            file=sys.stderr,
+        )
+        raise typer.Exit(130) from None

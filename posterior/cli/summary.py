@@ -1,0 +1,126 @@
+"""What the draws say: maps of mean and spread, fidelity to the truth, coverage, convergence."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..diagnostics.convergence import ess, rhat
+from ..diagnostics.plots import align_phase, complex_maps
+from ..diagnostics.spread import interval, interval_width
+from ..draws import Draws
+from ..models.optics import CONJUGATE_FLIP, Optics
+from ..presets import DENOISING, Question
+from ..samplers import Sampler
+from ..samplers.base import PopulationSampler
+
+LEVEL = 0.9
+MIXED = 1.05
+
+
+class Summary(NamedTuple):
+    """Draws (chains, draws, *shape) with what the data cannot tell aligned, and what they say.
+
+    `maps` are the pictures to write, by file name; `sd` and `width` are as `overview` takes them.
+    """
+
+    values: np.ndarray
+    mean: np.ndarray
+    sd: np.ndarray
+    width: np.ndarray
+    maps: dict[str, np.ndarray]
+    results: dict[str, float]
+
+
+def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) -> Summary:
+    """Align the draws, map their mean and spread, compare them with the truth where it is known."""
+    truth = question.truth
+    values = _aligned(draws.values, question.problem.likelihood.optics, truth)
+    mean = values.mean(axis=(0, 1))
+    results = {}
+    if truth is not None and problem == DENOISING:
+        results["psnr_data"] = _psnr(question.y, truth)
+    if truth is not None:
+        results["psnr_mean"] = _psnr(mean, truth)
+        results |= _coverages(values, truth)
+    results |= _convergence(values, sampler)
+    if np.iscomplexobj(values):
+        maps = complex_maps(values, LEVEL)
+        sd = np.stack([maps.sd_amplitude, maps.sd_phase])
+        width = np.stack([maps.width_amplitude, maps.width_phase])
+        pictures = {f"{n}.tif": getattr(maps, n) for n in maps._fields if "width" not in n}
+    else:
+        sd, width = values.std(axis=(0, 1)), interval_width(values, LEVEL)
+        pictures = {"mean.tif": mean, "sd.tif": sd}
+    return Summary(values, mean, sd, width, pictures, results)
+
+
+def _aligned(values: np.ndarray, optics: Optics, truth: np.ndarray | None) -> np.ndarray:
+    """Draws that the data cannot tell apart, brought together: global phase, or twin image.
+
+    Then, where the truth is known, all of them are turned to it as one.
+    """
+    if np.iscomplexobj(values):
+        values = align_phase(values)
+        if truth is None:
+            return values
+        return values * np.exp(1j * np.angle(np.vdot(values.mean(axis=(0, 1)), truth)))
+    if CONJUGATE_FLIP not in optics.symmetries:
+        return values
+    values = _untwinned(values, values[0, 0])
+    values = _untwinned(values, values.mean(axis=(0, 1)))
+    is_twin = truth is not None and _nearer_twin(values.mean(axis=(0, 1)), truth)
+    return _twin(values) if is_twin else values
+
+
+def _untwinned(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Real draws, each turned by 180 degrees if that brings it nearer to `reference`."""
+    return np.array(
+        [[_twin(x) if _nearer_twin(x, reference) else x for x in chain] for chain in values]
+    )
+
+
+def _twin(x: np.ndarray) -> np.ndarray:
+    return np.flip(x, axis=(-2, -1))
+
+
+def _nearer_twin(x: np.ndarray, reference: np.ndarray) -> bool:
+    return bool(np.vdot(_twin(x), reference) > np.vdot(x, reference))
+
+
+def _psnr(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """In dB, the peak being 1, or the largest amplitude of a complex truth."""
+    peak = np.abs(truth).max() if np.iscomplexobj(truth) else 1.0
+    return float(10 * np.log10(peak**2 / np.mean(np.abs(estimate - truth) ** 2)))
+
+
+def _coverages(values: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """The part of the pixels whose interval holds the truth; amplitude and phase apart."""
+    if not np.iscomplexobj(values):
+        return {"coverage": _coverage(values, truth)}
+    # Referred to the phase of the mean, no interval straddles the cut at +-pi.
+    turn = np.exp(-1j * np.angle(values.mean(axis=(0, 1))))
+    return {
+        "coverage_amplitude": _coverage(np.abs(values), np.abs(truth)),
+        "coverage_phase": _coverage(np.angle(values * turn), np.angle(truth * turn)),
+    }
+
+
+def _coverage(values: np.ndarray, truth: np.ndarray) -> float:
+    low, high = interval(values, LEVEL)
+    return float(np.mean((low <= truth) & (truth <= high)))
+
+
+def _convergence(values: np.ndarray, sampler: Sampler) -> dict[str, float]:
+    """Largest R-hat and smallest effective sample size of all pixels (Re and Im apart)."""
+    if len(values) < 2 or values.shape[1] < 4:
+        return {}
+    parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
+    # Chains that never move have no R-hat: as bad as can be.
+    with np.errstate(all="ignore"):
+        worst = [rhat(p) for p in parts]
+        worst = np.where(np.isnan(worst), np.inf, worst)
+        found = {"rhat": float(np.max(worst)), "unmixed": float(np.mean(worst > MIXED))}
+        # Particles have no order: counting their correlation would say nothing.
+        if not isinstance(sampler, PopulationSampler):
+            found["ess"] = float(np.min(np.nan_to_num([ess(p) for p in parts])))
+    return found

@@ -1,0 +1,90 @@
+"""A run in words: the numbers found, and what stands against believing them."""
+
+from pathlib import Path
+from typing import Any
+
+from .summary import LEVEL, MIXED
+
+_PERCENT = f"{LEVEL * 100:.0f} %"
+_COVERED = {
+    "coverage": "pixels",
+    "coverage_amplitude": "pixels, in amplitude",
+    "coverage_phase": "pixels, in phase",
+}
+_FEW = 100
+_TOO_NARROW = 0.85
+_APPROXIMATE = ("annealed", "annealed-split", "ula")
+
+
+def findings(results: dict[str, float]) -> list[str]:
+    """The numbers of a run in words."""
+    said = []
+    if "psnr_data" in results:
+        said.append(f"PSNR of the recording: {results['psnr_data']:.2f} dB")
+    if "psnr_mean" in results:
+        said.append(f"PSNR of the posterior mean: {results['psnr_mean']:.2f} dB")
+    said += [
+        f"truth inside the {_PERCENT} interval: {100 * value:.1f} % of the {_COVERED[name]}"
+        for name, value in results.items()
+        if name in _COVERED
+    ]
+    if "rhat" in results:
+        said.append(f"R-hat, largest of all pixels: {results['rhat']:.4g}")
+    if "ess" in results:
+        said.append(f"effective draws, smallest of all pixels: {results['ess']:.0f}")
+    return said
+
+
+def doubts(results: dict[str, float], sampler: str) -> list[str]:
+    """What stands against believing the intervals."""
+    said = []
+    if "rhat" not in results:
+        said.append(
+            "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4"
+        )
+    elif results["rhat"] > MIXED:
+        said.append(
+            f"the chains have not mixed: R-hat is above {MIXED} in "
+            f"{100 * results['unmixed']:.1f} % of the pixels, up to {results['rhat']:.3g}; do not "
+            "trust the intervals there, give more --thin, --draws or --warmup"
+        )
+    if results.get("ess", _FEW) < _FEW:
+        said.append(
+            f"only {results['ess']:.0f} effective draws in the worst pixel: the ends of its "
+            f"interval are rough below {_FEW}, give more --draws"
+        )
+    if sampler in _APPROXIMATE:
+        said.append(f"{sampler} is approximate: check its intervals against mala or nuts")
+    for name, value in results.items():
+        if name in _COVERED and value < _TOO_NARROW:
+            said.append(
+                f"the intervals are too narrow: they hold the truth in {100 * value:.0f} % of the "
+                f"{_COVERED[name]}, not {_PERCENT}; the prior does not describe this picture, or "
+                "the chains have not mixed"
+            )
+    return said
+
+
+def headline(settings: dict[str, Any]) -> str:
+    """The title of the figure."""
+    options, results = settings["options"], settings["results"]
+    parts = [f"{options['problem']}, full well {options['full_well']} electrons"]
+    if "psnr_data" in results:
+        parts.append(f"recording {results['psnr_data']:.1f} dB")
+    if "psnr_mean" in results:
+        parts.append(f"mean {results['psnr_mean']:.1f} dB")
+    return ", ".join(parts)
+
+
+def tell(out: Path, settings: dict[str, Any]) -> None:
+    """Print a run: what it was, what was found, the doubts, and where it was written."""
+    options, results = settings["options"], settings["results"]
+    print(
+        f"{options['problem']} of {settings['input']['file']}: {options['sampler']}, "
+        f"{options['chains']} chains x {options['draws']} draws, {settings['seconds']:.0f} s"
+    )
+    for line in findings(results):
+        print(line)
+    for warning in settings["warnings"]:
+        print(f"warning: {warning}")
+    print(f"written to {out}")
