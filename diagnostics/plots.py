@@ -1,7 +1,7 @@
 """The overview figure of a run: truth, recording, draws, mean, and how sure each pixel is."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -19,12 +19,6 @@ _INCH = 2.0  # a side of a panel
 _DPI = 150
 _DRAWS = ("a draw", "another draw", "a third draw", "a fourth draw")
 _GREY, _SPREAD, _WIDTH, _PHASE = "gray", "viridis", "magma", "twilight"
-
-
-_ERRORS = {
-    "amplitude": lambda a, b: np.abs(np.abs(a) - np.abs(b)),
-    "phase": lambda a, b: np.abs(np.angle(a * b.conj())),
-}
 
 
 class ComplexMaps(NamedTuple):
@@ -90,11 +84,8 @@ def overview(
     must be aligned to `mean` (`align_phase`). Without `truth` its panel, and that of the error of
     the mean, are left out.
     """
-    arguments = (truth, data, draws, mean, sd, width, data_title)
-    if np.iscomplexobj(mean):
-        figure = _complex_overview(*arguments)
-    else:
-        figure = _real_overview(*arguments, data_is_object)
+    shown = _Shown(truth, data, draws, mean, sd, width, data_title, data_is_object)
+    figure = _complex_overview(shown) if np.iscomplexobj(mean) else _real_overview(shown)
     if title:
         figure.suptitle(title, fontsize=11, y=0.985)
     if path is not None:
@@ -102,37 +93,55 @@ def overview(
     return figure
 
 
+class _Shown(NamedTuple):
+    """What an overview is drawn from."""
+
+    truth: np.ndarray | None
+    data: np.ndarray
+    draws: Sequence[np.ndarray]
+    mean: np.ndarray
+    sd: np.ndarray
+    width: np.ndarray
+    data_title: str
+    data_is_object: bool
+
+
+class _Panel(NamedTuple):
+    """A picture under its heading, in the colours of `scale`; without a picture it is left out."""
+
+    title: str
+    picture: np.ndarray | None
+    scale: ScalarMappable
+
+
 # ---- real objects --------------------------------------------------------------------------------
 
 
-def _real_overview(
-    truth: np.ndarray | None,
-    data: np.ndarray,
-    draws: Sequence[np.ndarray],
-    mean: np.ndarray,
-    sd: np.ndarray,
-    width: np.ndarray,
-    data_title: str,
-    data_is_object: bool,
-) -> Figure:
-    grey = _scale([*draws[:2], mean, *([] if truth is None else [truth])], _GREY)
-    error = [] if truth is None else [np.abs(mean - truth)]
-    spread, wide = _spread_scale(sd, *error), _scale([width], _WIDTH, zero=True)
-    own = grey if data_is_object else _scale([data], _GREY)
-    top = [("truth", truth, grey), (data_title, data, own), ("posterior mean", mean, grey)]
-    bottom = [("a draw", draws[0], grey), ("another draw", draws[1], grey)]
-    if truth is None:
-        top = top[1:]
-    else:
-        bottom.append(("error of the mean", error[0], spread))
-    top.append(("standard deviation", sd, spread))
-    bottom.append(("width of 90 % interval", width, wide))
+def _real_overview(shown: _Shown) -> Figure:
+    """Two rows: what is known above, what is drawn below; how sure each pixel is at their ends."""
+    truth, mean = shown.truth, shown.mean
+    error = None if truth is None else np.abs(mean - truth)
+    grey = _scale([*shown.draws[:2], mean, *([] if truth is None else [truth])], _GREY)
+    own = grey if shown.data_is_object else _scale([shown.data], _GREY)
+    spread, wide = _spread_scale(shown.sd, error), _scale([shown.width], _WIDTH, zero=True)
+    top = _present(
+        _Panel("truth", truth, grey),
+        _Panel(shown.data_title, shown.data, own),
+        _Panel("posterior mean", mean, grey),
+        _Panel("standard deviation", shown.sd, spread),
+    )
+    bottom = _present(
+        _Panel("a draw", shown.draws[0], grey),
+        _Panel("another draw", shown.draws[1], grey),
+        _Panel("error of the mean", error, spread),
+        _Panel("width of 90 % interval", shown.width, wide),
+    )
     columns = len(top)
     aspect = mean.shape[0] / mean.shape[1]
     figure, grid = _canvas(columns, 2, [0.08] + [1] * columns + [0.08], aspect)
     for row, panels in enumerate((top, bottom)):
         for column, panel in enumerate(panels):
-            _panel(figure, grid[row, column + 1], *panel)
+            _show(figure, grid[row, column + 1], panel)
     _bar(figure, grid[:, 0], grey, "object", left=True)
     _bar(figure, grid[0, -1], spread, "sd" if truth is None else "sd, error")
     _bar(figure, grid[1, -1], wide, "width")
@@ -142,39 +151,42 @@ def _real_overview(
 # ---- complex objects -----------------------------------------------------------------------------
 
 
-def _complex_overview(
-    truth: np.ndarray | None,
-    data: np.ndarray,
-    draws: Sequence[np.ndarray],
-    mean: np.ndarray,
-    sd: np.ndarray,
-    width: np.ndarray,
-    data_title: str,
-) -> Figure:
+class _Part(NamedTuple):
+    """Amplitude or phase of complex objects: its values, the error of two, its colours."""
+
+    name: str
+    unit: str
+    of: Callable[[np.ndarray], np.ndarray]
+    error: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    scale: Callable[[Sequence[np.ndarray]], ScalarMappable]
+
+
+def _complex_overview(shown: _Shown) -> Figure:
     """Amplitudes, phases, and a last row of how sure both are; five columns in each."""
-    draws = [(name, draws[i % len(draws)]) for i, name in enumerate(_DRAWS)]
+    truth, mean = shown.truth, shown.mean
+    draws = [(name, shown.draws[i % len(shown.draws)]) for i, name in enumerate(_DRAWS)]
     objects = [("posterior mean", mean), *draws]
     if truth is not None:
         objects = [("truth", truth), *objects[:3]]
     figure, grid = _canvas(5, 3, [0.08] + [1] * 5, mean.shape[0] / mean.shape[1], 0.15, 0.45)
-    _panel(figure, grid[2, 1], data_title, data, _scale([data], _GREY))
-    parts = (np.abs, "amplitude", "amplitude"), (np.angle, "phase", "phase / rad")
-    for row, (part, name, unit) in enumerate(parts):
-        pictures = [part(o) for _, o in objects]
-        scale = _phase_scale(pictures) if name == "phase" else _scale(pictures, _GREY)
-        error = [] if truth is None else [_ERRORS[name](mean, truth)]
-        spread = _spread_scale(sd[row], *error)
-        wide = _scale([width[row]], _WIDTH, zero=True)
-        panels = [(heading, p, scale) for (heading, _), p in zip(objects, pictures)]
-        panels += [("error of the mean", e, spread) for e in error]
-        for column, (heading, picture, colours) in enumerate(panels):
-            _panel(figure, grid[row, column + 1], "" if row else heading, picture, colours)
-        _bar(figure, grid[row, 0], scale, unit, left=True)
-        for column, (heading, picture, colours) in enumerate(
-            ((f"sd of {name}", sd[row], spread), (f"90 % width, {name}", width[row], wide))
-        ):
-            axes = _panel(figure, grid[2, 2 + 2 * row + column], heading, picture, colours)
-            _bar_under(figure, axes, colours)
+    _show(figure, grid[2, 1], _Panel(shown.data_title, shown.data, _scale([shown.data], _GREY)))
+    for row, (part, sd, width) in enumerate(zip(_PARTS, shown.sd, shown.width)):
+        pictures = [part.of(o) for _, o in objects]
+        error = None if truth is None else part.error(mean, truth)
+        scale, spread = part.scale(pictures), _spread_scale(sd, error)
+        panels = [_Panel(title, p, scale) for (title, _), p in zip(objects, pictures)]
+        panels = _present(*panels, _Panel("error of the mean", error, spread))
+        for column, panel in enumerate(panels):
+            # The headings of the first row are those of the second too.
+            panel = panel._replace(title="") if row else panel
+            _show(figure, grid[row, column + 1], panel)
+        _bar(figure, grid[row, 0], scale, part.unit, left=True)
+        sure = (
+            _Panel(f"sd of {part.name}", sd, spread),
+            _Panel(f"90 % width, {part.name}", width, _scale([width], _WIDTH, zero=True)),
+        )
+        for column, panel in enumerate(sure):
+            _bar_under(figure, _show(figure, grid[2, 2 + 2 * row + column], panel), panel.scale)
     return figure
 
 
@@ -183,6 +195,20 @@ def _phase_scale(phases: Sequence[np.ndarray]) -> ScalarMappable:
     largest = np.quantile(np.abs(np.concatenate([np.ravel(p) for p in phases])), 0.995)
     limit = min(1.5 * largest, np.pi)
     return ScalarMappable(Normalize(-limit, limit), mpl.colormaps[_PHASE])
+
+
+_PARTS = (
+    _Part(
+        "amplitude",
+        "amplitude",
+        np.abs,
+        lambda a, b: np.abs(np.abs(a) - np.abs(b)),
+        lambda amplitudes: _scale(amplitudes, _GREY),
+    ),
+    _Part(
+        "phase", "phase / rad", np.angle, lambda a, b: np.abs(np.angle(a * b.conj())), _phase_scale
+    ),
+)
 
 
 # ---- parts ---------------------------------------------------------------------------------------
@@ -222,18 +248,20 @@ def _scale(pictures: Sequence[np.ndarray], colours: str, zero: bool = False) -> 
     return ScalarMappable(Normalize(0 if zero else low, high), mpl.colormaps[colours])
 
 
-def _spread_scale(sd: np.ndarray, *errors: np.ndarray) -> ScalarMappable:
-    """From zero, for a map of sd and the errors it should foretell: nearly all are under 2 sd."""
-    top = max(np.quantile(sd, 0.995), *(np.quantile(e, 0.95) for e in errors), 0)
+def _spread_scale(sd: np.ndarray, error: np.ndarray | None) -> ScalarMappable:
+    """From zero, for a map of sd and the error it should foretell: nearly all are under 2 sd."""
+    top = max(np.quantile(sd, 0.995), 0 if error is None else np.quantile(error, 0.95))
     return ScalarMappable(Normalize(0, top), mpl.colormaps[_SPREAD])
 
 
-def _panel(
-    figure: Figure, place: SubplotSpec, title: str, picture: np.ndarray, scale: ScalarMappable
-) -> Axes:
-    axes = figure.add_subplot(place)
-    axes.imshow(picture, norm=scale.norm, cmap=scale.cmap, interpolation="nearest")
-    axes.set_title(title, fontsize=9, pad=4)
+def _present(*panels: _Panel) -> list[_Panel]:
+    return [panel for panel in panels if panel.picture is not None]
+
+
+def _show(figure: Figure, place: SubplotSpec, panel: _Panel) -> Axes:
+    axes, scale = figure.add_subplot(place), panel.scale
+    axes.imshow(panel.picture, norm=scale.norm, cmap=scale.cmap, interpolation="nearest")
+    axes.set_title(panel.title, fontsize=9, pad=4)
     axes.set_xticks([])
     axes.set_yticks([])
     return axes
