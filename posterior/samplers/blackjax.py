@@ -87,7 +87,13 @@ class BlackJAX(Sampler):
             for name, value in self.parameters.items()
             if name not in ("step_size", "inverse_mass_matrix")
         }
-        warmup = blackjax.window_adaptation(self.algorithm, _log_density(state.posterior), **extra)
+        warmup = blackjax.window_adaptation(
+            self.algorithm,
+            _log_density(state.posterior),
+            # Of its steps nothing is kept; the default is everything.
+            adaptation_info_fn=lambda *_: None,
+            **extra,
+        )
         result, _ = warmup.run(key, state.inner.position, steps)
         tuned = {k: v for k, v in result.parameters.items() if k in state.parameters}
         return state._replace(inner=result.state, parameters={**state.parameters, **tuned})
