@@ -15,6 +15,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from .files import replace_whole
+
 
 class Checkpoint:
     """The folder of one run. Raises ValueError if it belongs to another run."""
@@ -34,14 +36,15 @@ class Checkpoint:
             raise ValueError(f"checkpoint {self.path} is a folder of other things: give a new one")
         else:
             self.path.mkdir(parents=True, exist_ok=True)
-            _replace(manifest, lambda f: f.write(json.dumps({"fingerprint": fingerprint}).encode()))
+            text = json.dumps({"fingerprint": fingerprint})
+            replace_whole(manifest, lambda part: Path(part).write_text(text))
 
     def save(self, state: Any, shards: int, new: dict[str, np.ndarray] | None) -> None:
         """Write the draws since the last save, if any, as shard `shards` - 1; then the state."""
         if new is not None:
-            _replace(self._shard(shards - 1), lambda f: np.savez(f, **new))
+            replace_whole(self._shard(shards - 1), lambda part: _save_arrays(part, new))
         tree = (np.asarray(shards), state)
-        _replace(self.path / "state.eqx", lambda f: eqx.tree_serialise_leaves(f, tree))
+        replace_whole(self.path / "state.eqx", lambda part: eqx.tree_serialise_leaves(part, tree))
 
     def load(self, like: Any) -> tuple[Any, int] | None:
         """The latest state, in the structure of `like`, and its number of shards; or None."""
@@ -83,9 +86,7 @@ def fingerprint(*parts: Any) -> str:
     return digest.hexdigest()
 
 
-def _replace(path: Path, write: Any) -> None:
-    """Write a file so that it is there whole or not at all."""
-    partial = path.with_name(path.name + ".part")
-    with open(partial, "wb") as file:
-        write(file)
-    os.replace(partial, path)
+def _save_arrays(path: str, arrays: dict[str, np.ndarray]) -> None:
+    # NumPy adds .npz to a path that does not end in it.
+    with open(path, "wb") as file:
+        np.savez(file, **arrays)

@@ -9,6 +9,8 @@ import jax
 import numpy as np
 import xarray as xr
 
+from .files import replace_whole
+
 _OBJECT_DIMS = {0: (), 1: ("pixel",), 2: ("row", "col"), 3: ("row", "col", "channel")}
 
 
@@ -92,10 +94,7 @@ class Draws:
 
     def save(self, path: str | os.PathLike) -> None:
         """Write NetCDF-4, complex included; an old file is replaced once this one is whole."""
-        path = os.fspath(path)
-        partial = f"{path}.part"
-        self.dataset.to_netcdf(partial, engine="h5netcdf")
-        os.replace(partial, path)
+        replace_whole(path, lambda part: self.dataset.to_netcdf(part, engine="h5netcdf"))
 
     def to_arviz(self) -> xr.DataTree:
         """ArviZ's groups posterior, sample_stats and observed_data; complex as two variables."""

@@ -11,6 +11,8 @@ from PIL import Image
 from skimage.color import rgb2gray
 from skimage.transform import resize
 
+from .files import replace_whole
+
 _FORMATS = ("PNG", "JPEG")
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _FULL_SCALE = {np.dtype(bool): 1, np.dtype("uint8"): 255, np.dtype("uint16"): 65535}
@@ -110,13 +112,6 @@ def write_tiff(path: str | os.PathLike, array: np.ndarray) -> None:
     replace_whole(
         path, lambda part: tifffile.imwrite(part, array.astype("f4"), photometric="minisblack")
     )
-
-
-def replace_whole(path: str | os.PathLike, write: Callable[[str], object]) -> None:
-    """Let `write(partial path)` finish before `path` gets the new contents."""
-    partial = f"{os.fspath(path)}.part"
-    write(partial)
-    os.replace(partial, path)
 
 
 def _reader(path: str, key: str | None) -> Callable[[str], np.ndarray]:

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from skimage import data as shipped
 
-from ..images import read_picture, replace_whole, to_grey, to_unit_range, write_tiff
+from ..files import replace_whole
+from ..images import read_picture, to_grey, to_unit_range, write_tiff
 from ..presets import DENOISING, PTYCHOGRAPHY
 from .options import Options, Out, Overwrite, Quiet
 from .outputs import SETTINGS, prepare, read_settings

@@ -11,7 +11,8 @@ import numpy as np
 from .. import presets
 from ..diagnostics.plots import overview
 from ..draws import Draws
-from ..images import replace_whole, write_tiff
+from ..files import replace_whole
+from ..images import write_tiff
 from ..presets import DENOISING, Question
 from .options import Options
 from .summary import Summary
