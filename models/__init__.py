@@ -16,5 +16,5 @@ from .optics import (
     Optics,
     Propagation,
 )
+from .priors import EnergyPrior, GaussianField, GaussianMixture, PixelPrior, Prior, ScorePrior
 from .priors import Gaussian as GaussianPrior
-from .priors import GaussianField, GaussianMixture, PixelPrior, Prior

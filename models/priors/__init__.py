@@ -3,5 +3,6 @@
 from .base import Prior
 from .field import GaussianField
 from .gaussian import Gaussian
+from .learned import EnergyPrior, ScorePrior
 from .mixture import GaussianMixture
 from .pixel import PixelPrior

@@ -1,0 +1,85 @@
+"""A network with EDM preconditioning (Karras et al. 2022): it predicts the clean image.
+
+D(x, sigma) = m + c_skip (x - m) + c_out F(c_in (x - m), log s), with s the error's standard
+deviation per channel, m and d the mean and standard deviation of the training pictures, and
+c_skip = d^2/(s^2 + d^2), c_out = s d/sqrt(s^2 + d^2), c_in = 1/sqrt(s^2 + d^2): input, output and
+training target of F have unit variance at every level. For the signal-dependent error, whose
+standard deviation varies over the image, s is that at brightness m.
+"""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..annealing import component_sd
+from .perturbation import check_perturbation
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """What a network was trained on; all that its preconditioning and its prior must know.
+
+    `mean` and `sd` of a channel value over the training pictures; `sigma_min`, `sigma_max`: the
+    trained levels; `lowest`: the least value of a picture, None if there is no such bound, and the
+    positive floor of eq:true_p for "signal".
+    """
+
+    mean: float
+    sd: float
+    sigma_min: float
+    sigma_max: float
+    perturbation: str = "gaussian"
+    complex_valued: bool = False
+    lowest: float | None = None
+
+    def __post_init__(self):
+        check_perturbation(self.perturbation, self.complex_valued)
+        if not 0 < self.sigma_min < self.sigma_max:
+            raise ValueError(
+                f"levels from {self.sigma_min} to {self.sigma_max}: they must be positive and grow"
+            )
+        if not (self.sd > 0 and math.isfinite(self.sd + self.mean)):
+            raise ValueError(f"mean {self.mean}, sd {self.sd}: the pictures must vary")
+        if self.perturbation == "signal" and not (self.lowest and self.lowest > 0):
+            raise ValueError(
+                f"lowest value {self.lowest}: the signal perturbation needs a positive floor"
+            )
+
+
+class Denoiser(eqx.Module):
+    """The clean image, from a perturbed one (h, w, channels) and its level sigma.
+
+    For "signal" it is the harmonic mean 1/E[1/x | x~] (perturbation.py), else E[x | x~]. sigma
+    is used as it is, except that the network is told no level outside the trained ones.
+    """
+
+    network: eqx.Module
+    statistics: Statistics = eqx.field(static=True)
+
+    def __call__(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """(h, w, channels) -> the same shape."""
+        stats = self.statistics
+        s, variance = self.channel_sd(sigma), stats.sd**2
+        total = s**2 + variance
+        centred = x - stats.mean
+        trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
+        level = jnp.log(self.channel_sd(trained) / stats.sd)
+        raw = self.network(centred / jnp.sqrt(total), level)
+        clean = stats.mean + variance / total * centred + s * stats.sd / jnp.sqrt(total) * raw
+        return jnp.maximum(clean, stats.lowest) if stats.perturbation == "signal" else clean
+
+    def loss_weight(self, sigma: jax.Array) -> jax.Array:
+        """1/c_out^2: every level counts alike in the loss."""
+        s, variance = self.channel_sd(sigma), self.statistics.sd**2
+        weight = (s**2 + variance) / (s**2 * variance)
+        return weight * self.statistics.mean if self.statistics.perturbation == "signal" else weight
+
+    def channel_sd(self, sigma: jax.Array | float) -> jax.Array:
+        """Standard deviation of the error per channel (at brightness `mean` for "signal")."""
+        stats = self.statistics
+        if stats.perturbation == "signal":
+            return sigma * stats.mean**0.5
+        return component_sd(sigma, stats.complex_valued)

@@ -1,0 +1,279 @@
+"""Priors learnt from pictures: a score network, or the gradient of an energy network.
+
+Both hold a denoiser D(x~, sigma). `ScorePrior` reads the score off it; nothing makes that a
+gradient, so there is no density. `EnergyPrior` takes D as the argument of an energy,
+
+    E(x~, sigma) = sum (x~ - D)^2 / (2 s^2)           (over 2 sigma^2 D for "signal"),
+
+and -E as the log-density of the annealed variable, up to a constant at each level: its score is
+the gradient of that number, exactly, and costs a backward pass. Such a D is trained through the
+gradient and is itself no denoiser; `denoise` gives the estimate either way.
+
+Outside the trained levels: below the finest, sigma is held at it, so that sigma = 0 means the prior
+blurred by the finest level; above the broadest, the error's variance stays right and the network
+sees an ever fainter picture, which is right while sigma_max is large against the pictures' range.
+"""
+
+import abc
+import os
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..annealing import component_sd
+from ..realview import normal_like
+from .base import Prior, checked_shape
+from .denoiser import Denoiser, Statistics
+from .perturbation import score_from_denoised
+
+
+class LearnedPrior(Prior):
+    """What score and energy priors share. Objects: (h, w), or (h, w, 3) in colour.
+
+    A complex object (h, w) is two channels to the network. `shape` must suit the network: its
+    strides and its channels. Computes in the dtype of the weights, returns that of the object.
+    """
+
+    denoiser: eqx.AbstractVar[Denoiser]
+    sampling_steps: eqx.AbstractVar[int]
+
+    @property
+    def statistics(self) -> Statistics:
+        """Mean, sd and least value of the training pictures; the trained levels."""
+        return self.denoiser.statistics
+
+    @property
+    def scale(self) -> jax.Array:
+        """Standard deviation of a channel value over the training pictures."""
+        return jnp.asarray(self.statistics.sd)
+
+    @abc.abstractmethod
+    def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """Score of channels (h, w, c) at a level at or above the finest."""
+
+    def score(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
+        """Gradient of the log-density of the annealed variable, as an object: d/dRe + j d/dIm."""
+        channels, sigma = self._prepared(x, sigma)
+        return self._to_object_like(self.channel_score(channels, sigma), x)
+
+    def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
+        """E[object | annealed x], by Tweedie's formula from the score; `shape`, dtype of `x`.
+
+        For "signal" the harmonic mean 1/E[1/object | x], which the score holds.
+        """
+        channels, sigma = self._prepared(x, sigma)
+        score = self.channel_score(channels, sigma)
+        if self.perturbation == "signal":
+            # From score = (1 - x/D)/sigma^2; a value of the wrong sign has no such D.
+            inverse = (1 - sigma**2 * score) / channels
+            clean = 1 / jnp.maximum(inverse, 1e-6)
+            clean = jnp.where(jnp.abs(channels) > 1e-6, clean, self.statistics.lowest)
+        else:
+            clean = channels + self._component_sd(sigma) ** 2 * score
+        return self._to_object_like(clean, x)
+
+    def sample(self, key: jax.Array) -> jax.Array:
+        """One object from the network alone, `sampling_steps` levels from noise to picture.
+
+        Gaussian error: Heun's rule on the probability-flow equation (Karras et al. 2022), then one
+        denoising step at the finest level. Signal-dependent error: annealed Langevin steps with the
+        metric sigma^2 x, reflected at zero. Both approximate the prior: the network, the finite
+        steps and, at the top, a start that is pure noise. Never below the pictures' least value.
+        """
+        draw = _langevin_draw if self.perturbation == "signal" else _flow_draw
+        x = draw(self, key)
+        return x if self.statistics.lowest is None else jnp.maximum(x, self.statistics.lowest)
+
+    def _prepared(self, x: jax.Array, sigma: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+        self._to_vector(x)
+        if self.complex_valued:
+            channels = jnp.stack([x.real, x.imag], axis=-1)
+        else:
+            channels = x if len(self.shape) == 3 else x[..., None]
+        dtype = jax.tree.leaves(eqx.filter(self.denoiser, eqx.is_inexact_array))[0].dtype
+        sigma = jnp.maximum(jnp.asarray(sigma, dtype), self.statistics.sigma_min)
+        return channels.astype(dtype), sigma
+
+    def _to_object_like(self, channels: jax.Array, x: jax.Array) -> jax.Array:
+        channels = channels.astype(x.real.dtype)
+        if self.complex_valued:
+            return jax.lax.complex(channels[..., 0], channels[..., 1])
+        return channels.reshape(self.shape)
+
+
+class ScorePrior(LearnedPrior):
+    """A prior known by its score network alone: draws and a score, no density.
+
+    `ScorePrior.load("nuclei", (64, 64))` gives one that comes with the project. The score is
+    (D - x)/s^2, s the error's standard deviation per real component (eq:denoiser_complex), or
+    (D - x)/(sigma^2 D) for the signal-dependent error (eq:true_p). Raises ValueError if `shape`
+    does not suit the network.
+    """
+
+    denoiser: Denoiser
+    shape: tuple[int, ...] = eqx.field(static=True)
+    complex_valued: bool = eqx.field(static=True)
+    perturbation: str = eqx.field(static=True)
+    sampling_steps: int = eqx.field(static=True)
+
+    def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
+        self.denoiser = denoiser
+        self.shape = suited_shape(shape, denoiser)
+        self.complex_valued = denoiser.statistics.complex_valued
+        self.perturbation = denoiser.statistics.perturbation
+        self.sampling_steps = sampling_steps
+
+    @classmethod
+    def load(
+        cls,
+        name: str | os.PathLike,
+        shape: tuple[int, ...],
+        perturbation: str = "gaussian",
+        dtype: type | None = None,
+    ) -> "ScorePrior":
+        """Weights by their short name ("nuclei") or the path of a .safetensors file.
+
+        `perturbation` and `dtype` (float or complex; None: what the weights are for) are what the
+        problem asks for. Raises ValueError if the file or its card is damaged or not for that.
+        """
+        from .storage import load_denoiser
+
+        return cls(load_denoiser(name, "score", perturbation, dtype), shape)
+
+    def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """Score of channels (h, w, c) at a level at or above the finest."""
+        clean = self.denoiser(x, sigma)
+        return score_from_denoised(x, clean, sigma, self.perturbation, self.complex_valued)
+
+    def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
+        """Refuses: a score network has no density."""
+        raise ValueError(
+            "a ScorePrior has no density: use a sampler that needs the score alone "
+            "(AnnealedLangevin, ULA), or an EnergyPrior"
+        )
+
+
+class EnergyPrior(LearnedPrior):
+    """A prior known by an energy network: draws, a score, and a log-density up to a constant.
+
+    The constant depends on the level, so only differences at one sigma mean anything. The score is
+    the exact gradient of `log_prob`: MALA, NUTS, TemperedSMC and Ensemble are exact for the density
+    that the network defines. `EnergyPrior.load("nuclei", (64, 64))` gives one that comes with the
+    project. Raises ValueError if `shape` does not suit the network.
+    """
+
+    denoiser: Denoiser
+    shape: tuple[int, ...] = eqx.field(static=True)
+    complex_valued: bool = eqx.field(static=True)
+    perturbation: str = eqx.field(static=True)
+    sampling_steps: int = eqx.field(static=True)
+
+    def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
+        self.denoiser = denoiser
+        self.shape = suited_shape(shape, denoiser)
+        self.complex_valued = denoiser.statistics.complex_valued
+        self.perturbation = denoiser.statistics.perturbation
+        self.sampling_steps = sampling_steps
+
+    @classmethod
+    def load(
+        cls,
+        name: str | os.PathLike,
+        shape: tuple[int, ...],
+        perturbation: str = "gaussian",
+        dtype: type | None = None,
+    ) -> "EnergyPrior":
+        """Weights by their short name or path, as `ScorePrior.load`."""
+        from .storage import load_denoiser
+
+        return cls(load_denoiser(name, "energy", perturbation, dtype), shape)
+
+    def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """Minus the gradient of the energy."""
+        return -jax.grad(energy, argnums=1)(self.denoiser, x, sigma)
+
+    def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
+        """Log-density of the annealed variable at `x`, up to a constant that depends on sigma."""
+        channels, sigma = self._prepared(x, sigma)
+        return -energy(self.denoiser, channels, sigma).astype(x.real.dtype)
+
+
+def energy(denoiser: Denoiser, x: jax.Array, sigma: jax.Array) -> jax.Array:
+    """Half the squared residual of the denoiser over the error's variance; a scalar."""
+    stats, clean = denoiser.statistics, denoiser(x, sigma)
+    if stats.perturbation == "signal":
+        variance = sigma**2 * clean
+    else:
+        variance = component_sd(sigma, stats.complex_valued) ** 2
+    return jnp.sum(jnp.square(x - clean) / (2 * variance))
+
+
+def suited_shape(shape: tuple[int, ...], denoiser: Denoiser) -> tuple[int, ...]:
+    """The object shape, refused if the network's channels or strides do not allow it."""
+    shape = checked_shape(shape)
+    network, complex_valued = denoiser.network, denoiser.statistics.complex_valued
+    if len(shape) not in (2, 3) or (len(shape) == 3 and complex_valued):
+        raise ValueError(f"object shape {shape}: this prior is for (height, width) images")
+    channels = 2 if complex_valued else 1 if len(shape) == 2 else shape[2]
+    if channels != network.channels:
+        raise ValueError(
+            f"object shape {shape} has {channels} channels, the network {network.channels}: "
+            "give (height, width) to a grey prior, (height, width, 3) to one in colour"
+        )
+    if any(n % network.stride for n in shape[:2]):
+        raise ValueError(
+            f"object shape {shape}: this network needs sides that are multiples of {network.stride}"
+        )
+    return shape
+
+
+def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
+    """Heun's rule along dx/ds = -s score, from noise at the broadest level to the finest."""
+    stats = prior.statistics
+    # Karras et al.'s spacing: powers of 1/7, dense at the fine levels.
+    ramp = jnp.linspace(
+        stats.sigma_max ** (1 / 7), stats.sigma_min ** (1 / 7), prior.sampling_steps
+    )
+    sigmas = ramp**7
+    blank = jnp.zeros(prior.shape, prior.dtype)
+    mean = stats.mean * (1 + 1j) if prior.complex_valued else stats.mean
+    start = component_sd(sigmas[0], prior.complex_valued) * normal_like(key, blank)
+
+    def slope(x: jax.Array, sigma: jax.Array) -> jax.Array:
+        return -component_sd(sigma, prior.complex_valued) * prior.score(x, sigma)
+
+    def advance(x: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        sigma, following = pair
+        step = component_sd(following - sigma, prior.complex_valued)
+        first = slope(x, sigma)
+        second = slope(x + step * first, following)
+        return (x + step * (first + second) / 2).astype(x.dtype), None
+
+    x, _ = jax.lax.scan(advance, (mean + start).astype(blank.dtype), (sigmas[:-1], sigmas[1:]))
+    return prior.denoise(x, sigmas[-1])
+
+
+# Langevin steps a level of the signal-dependent draw, and their size.
+_STEPS, _STEP = 5, 0.15
+
+
+def _langevin_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
+    """Langevin steps with the metric M = sigma^2 x: x + h (M score + dM/dx) + sqrt(2 h M) n."""
+    stats = prior.statistics
+    broadest = min(stats.sigma_max, 1.0)
+    sigmas = jnp.repeat(jnp.geomspace(broadest, stats.sigma_min, prior.sampling_steps), _STEPS)
+    key_start, key_steps = jax.random.split(key)
+    noise = normal_like(key_start, jnp.zeros(prior.shape, prior.dtype))
+    start = jnp.abs(stats.mean + sigmas[0] * stats.mean**0.5 * noise)
+
+    def advance(x: jax.Array, level: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        sigma, key = level
+        metric = sigma**2 * x
+        drift = metric * prior.score(x, sigma) + sigma**2
+        x = x + _STEP * drift + jnp.sqrt(2 * _STEP * metric) * normal_like(key, x)
+        return jnp.abs(x).astype(x.dtype), None
+
+    keys = jax.random.split(key_steps, len(sigmas))
+    x, _ = jax.lax.scan(advance, start, (sigmas, keys))
+    return prior.denoise(x, sigmas[-1])

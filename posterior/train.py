@@ -1,0 +1,412 @@
+"""`posterior train`: a prior from a folder of pictures.
+
+The result is NAME.safetensors with its model card NAME.json, and a folder NAME.training with the
+checkpoint, report.json and report.png. The same command goes on from the checkpoint, bit for bit;
+on a finished training it only writes the results anew.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from .checkpoint import Checkpoint, fingerprint
+from .images import read_picture, to_grey, to_unit_range
+from .models.priors.denoiser import Denoiser, Statistics
+from .models.priors.learned import suited_shape
+from .models.priors.pictures import Pictures
+from .models.priors.storage import build_network, load_denoiser, save_weights
+from .models.priors.training import (
+    Recipe,
+    TrainingState,
+    start_training,
+    steps_per_call,
+    train_steps,
+)
+
+SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".npz", ".jpg", ".jpeg")
+OBJECTS = {"grey": 1, "colour": 3, "complex": 2}
+
+# Trained levels in units of the pictures' sd, as an error per channel. The broadest is where noise
+# drowns every picture, so that draws may start from noise alone; the signal-dependent variable
+# must mostly stay positive, which ends it earlier.
+_FINEST, _BROADEST, _BROADEST_SIGNAL = 0.01, 40.0, 4.0
+_SAVE_SECONDS = 60.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Preparation:
+    """How files become training arrays.
+
+    `percentile`: each picture is divided by this percentile of its values and clipped at 1 (None:
+    taken as it is); `floor`: smallest value (signal perturbation alone); `group`: pattern whose
+    match in a file's name says which pictures belong together and are never split apart.
+    """
+
+    objects: str = "grey"
+    percentile: float | None = None
+    floor: float = 0.0
+    group: str = ".*"
+    validation: int = 32
+    test: int = 0
+
+    def __post_init__(self):
+        if self.objects not in OBJECTS:
+            raise ValueError(f"unknown objects {self.objects!r}: use {', '.join(OBJECTS)}")
+        if self.percentile is not None and not 0 < self.percentile <= 100:
+            raise ValueError(f"percentile {self.percentile}: give a number above 0, at most 100")
+        if self.validation < 1 or self.test < 0 or not 0 <= self.floor < 1:
+            raise ValueError(
+                f"validation {self.validation}, test {self.test}, floor {self.floor}: "
+                "give 1 or more, 0 or more, and 0 to 1"
+            )
+
+
+class Split(NamedTuple):
+    """File names of each part."""
+
+    train: list[str]
+    validation: list[str]
+    test: list[str]
+
+
+# ---- pictures ------------------------------------------------------------------------------------
+
+
+def picture_files(folder: str | os.PathLike) -> list[Path]:
+    """The picture files of a folder, by name; raises ValueError if there are none."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is not a folder: give a folder of pictures with --data")
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    if not files:
+        raise ValueError(f"{folder} holds no picture: put PNG, JPEG, TIFF, NPY or NPZ files in it")
+    return files
+
+
+def split_names(names: Sequence[str], validation: int, test: int, group: str = ".*") -> Split:
+    """Whole pictures (and whole groups of them) for training, validation and test.
+
+    The order is that of the SHA-256 of the group's name: the same for every training, whatever the
+    seed, and hardly moved by pictures that are added. At least `validation` and `test` pictures go
+    to those parts. Raises ValueError if none is left to train on.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in sorted(names):
+        match = re.match(group, name)
+        groups.setdefault(match.group(0) if match else name, []).append(name)
+    parts: dict[str, list[str]] = {"test": [], "validation": [], "train": []}
+    for name in sorted(groups, key=lambda g: hashlib.sha256(g.encode()).hexdigest()):
+        part = "test" if len(parts["test"]) < test else "train"
+        if part == "train" and len(parts["validation"]) < validation:
+            part = "validation"
+        parts[part] += groups[name]
+    if not parts["train"]:
+        raise ValueError(
+            f"{len(names)} pictures in {len(groups)} groups: too few to hold out {validation} for "
+            f"validation and {test} for test, give more pictures or hold out fewer"
+        )
+    return Split(*(sorted(parts[p]) for p in ("train", "validation", "test")))
+
+
+def prepare(path: Path, how: Preparation) -> np.ndarray:
+    """A file as float32 (h, w, channels) in the units that the prior is trained in."""
+    raw = read_picture(path)
+    if how.objects == "complex":
+        if raw.ndim != 2:
+            raise ValueError(f"{path} has shape {raw.shape}: a complex object is (height, width)")
+        scale = 1.0 if how.percentile is None else _percentile(np.abs(raw), how.percentile, path)
+        return np.stack([raw.real / scale, np.imag(raw) / scale], axis=-1).astype(np.float32)
+    picture = to_unit_range(raw) if how.percentile is None else raw.astype(float)
+    if how.objects == "grey":
+        picture = to_grey(picture)[..., None]
+    elif picture.ndim != 3 or picture.shape[-1] not in (3, 4):
+        raise ValueError(f"{path} has shape {raw.shape}: a picture in colour is (h, w, 3)")
+    picture = picture[..., : OBJECTS[how.objects]]
+    if how.percentile is not None:
+        picture = np.clip(picture / _percentile(picture, how.percentile, path), 0, 1)
+    return np.maximum(picture, how.floor).astype(np.float32)
+
+
+def normalisation(how: Preparation) -> str:
+    """What `prepare` does, in words, for the model card."""
+    if how.objects == "complex":
+        if how.percentile is None:
+            return "complex values as they are"
+        return f"complex values over the {how.percentile:g}th percentile of their amplitudes"
+    scale = (
+        "full scale of the file is 1"
+        if how.percentile is None
+        else f"each picture over its own {how.percentile:g}th percentile, clipped to 0..1"
+    )
+    return scale + (f"; values below {how.floor:g} raised to it" if how.floor else "")
+
+
+def statistics_of(
+    pictures: Sequence[np.ndarray], perturbation: str, how: Preparation
+) -> Statistics:
+    """Mean and sd of the training pictures, and the levels that they suggest."""
+    complex_valued = how.objects == "complex"
+    flat = np.concatenate([p.ravel() for p in pictures]).astype(float)
+    mean, sd = float(flat.mean()), float(flat.std())
+    if sd < 1e-6:
+        raise ValueError(f"the pictures have sd {sd:.3g}: pictures that do not vary teach nothing")
+    # Channel errors over the level: brightness for "signal", a half for complex objects.
+    per_level = mean**0.5 if perturbation == "signal" else 0.5 if complex_valued else 1.0
+    broadest = _BROADEST_SIGNAL if perturbation == "signal" else _BROADEST
+    return Statistics(
+        mean=_rounded(mean),
+        sd=_rounded(sd),
+        sigma_min=_rounded(_FINEST * sd / per_level),
+        sigma_max=_rounded(broadest * sd / per_level),
+        perturbation=perturbation,
+        complex_valued=complex_valued,
+        lowest=None if complex_valued else how.floor,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _percentile(values: np.ndarray, percentile: float, path: Path) -> float:
+    scale = float(np.percentile(values, percentile))
+    if scale <= 0:
+        raise ValueError(f"{path} has the {percentile:g}th percentile {scale:g}: leave it out")
+    return scale
+
+
+# ---- training ------------------------------------------------------------------------------------
+
+
+def train(
+    denoiser: Denoiser,
+    pictures: Sequence[np.ndarray],
+    recipe: Recipe,
+    checkpoint: Path | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> tuple[Denoiser, np.ndarray, float]:
+    """The averaged denoiser, the losses (steps,), and the seconds all sessions took together.
+
+    `progress(steps done, recent loss)` is called as steps finish. With a `checkpoint` folder the
+    state is saved every minute and at the end, and an earlier one is gone on from.
+    """
+    small = [p.shape for p in pictures if min(p.shape[:2]) < recipe.size]
+    if small:
+        raise ValueError(
+            f"{len(small)} pictures are smaller than the patches of {recipe.size} pixels, one of "
+            f"shape {small[0]}: leave them out, or give a smaller --size"
+        )
+    suited_shape((recipe.size, recipe.size, *_colour(denoiser)), denoiser)
+    structure = eqx.filter(denoiser, eqx.is_inexact_array, inverse=True)
+    fixed = (structure, Pictures(pictures), recipe)
+    state, losses = start_training(denoiser, recipe), np.full(recipe.steps, np.nan, np.float32)
+    folder, seconds = None, np.zeros(())
+    if checkpoint is not None:
+        folder = Checkpoint(checkpoint, fingerprint(state, str(denoiser), recipe, fixed[1]))
+        saved = folder.load((state, losses, seconds))
+        if saved is not None:
+            (state, losses, seconds), _ = saved
+            losses = np.array(losses)
+    state, losses, seconds = _run(fixed, state, losses, float(seconds), folder, progress)
+    return eqx.combine(state.average, structure), losses, seconds
+
+
+def _run(
+    fixed: tuple[Denoiser, Pictures, Recipe],
+    state: TrainingState,
+    losses: np.ndarray,
+    seconds: float,
+    folder: Checkpoint | None,
+    progress: Callable[[int, float], None] | None,
+) -> tuple[TrainingState, np.ndarray, float]:
+    steps, done = fixed[2].steps, int(state.step)
+    began = saved = time.perf_counter()
+    while done < steps:
+        count = min(steps_per_call(), steps - done)
+        state, new = train_steps(fixed, state, count)
+        losses[done : done + count] = new
+        done += count
+        if not np.all(np.isfinite(losses[done - count : done])):
+            raise ValueError(f"the loss is NaN at step {done}: give a smaller --rate")
+        now = time.perf_counter()
+        if folder is not None and (now - saved > _SAVE_SECONDS or done == steps):
+            folder.save((state, losses, np.asarray(seconds + now - began)), 0, None)
+            saved = now
+        if progress is not None:
+            progress(done, float(np.mean(losses[max(0, done - 200) : done])))
+    return state, losses, seconds + time.perf_counter() - began
+
+
+def _colour(denoiser: Denoiser) -> tuple[int, ...]:
+    return (3,) if denoiser.network.channels == 3 else ()
+
+
+# ---- the command ---------------------------------------------------------------------------------
+
+
+def train_command(
+    out: Annotated[Path, typer.Option(help="NAME.safetensors, beside it its card and report.")],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of pictures; may be one inside POSTERIOR_DATA.")
+    ] = None,
+    perturbation: Annotated[str, typer.Option(help="gaussian, or signal.")] = "gaussian",
+    kind: Annotated[str, typer.Option(help="score, or energy.")] = "score",
+    objects: Annotated[str, typer.Option(help=f"One of {', '.join(OBJECTS)}.")] = "grey",
+    percentile: Annotated[
+        float | None, typer.Option(help="Divide each picture by this percentile, clip at 1.")
+    ] = None,
+    floor: Annotated[float, typer.Option(help="Least value of a picture, for signal.")] = 0.01,
+    size: Annotated[int, typer.Option(help="Pixels a side of a training patch.")] = 48,
+    steps: Annotated[int, typer.Option(help="Steps of Adam.")] = 5000,
+    batch: Annotated[int, typer.Option(help="Patches a step.")] = 16,
+    rate: Annotated[float, typer.Option(help="Learning rate at its highest.")] = 2e-3,
+    network: Annotated[str, typer.Option(help="unet, or ncsnv2.")] = "unet",
+    widths: Annotated[str, typer.Option(help="Channels of each level.")] = "32,64,96",
+    blocks: Annotated[int, typer.Option(help="Residual blocks a level.")] = 1,
+    validation: Annotated[int, typer.Option(help="Pictures held out to watch.")] = 32,
+    test: Annotated[int, typer.Option(help="Pictures held out and not looked at.")] = 0,
+    group: Annotated[str, typer.Option(help="Pattern: names that match alike stay together.")] = (
+        ".*"
+    ),
+    init: Annotated[str | None, typer.Option(help="Weights to start from (.safetensors).")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same weights.")] = 0,
+    source: Annotated[str, typer.Option(help="Of the pictures, for the card.")] = "not stated",
+    licence: Annotated[str, typer.Option(help="Of the pictures, for the card.")] = "not stated",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Train a prior on a folder of pictures; the same command goes on where it was stopped."""
+    command = _command(locals())
+    how = Preparation(
+        objects, percentile, floor if perturbation == "signal" else 0.0, group, validation, test
+    )
+    recipe = Recipe(kind, steps, batch, size, rate, seed=seed)
+    folder = _data_folder(data)
+    files = {p.name: p for p in picture_files(folder)}
+    split = split_names(list(files), validation, test, group)
+    loaded = [prepare(files[name], how) for name in split.train]
+    pictures = [p for p in loaded if min(p.shape[:2]) >= size]
+    if not pictures:
+        raise ValueError(f"no picture in {folder} has {size} pixels a side: give a smaller --size")
+    statistics = statistics_of(pictures, perturbation, how)
+    description = _description(network, OBJECTS[objects], _widths(widths), blocks)
+    built = build_network(description, jax.random.key(seed))
+    if init is not None:
+        built = _initial(init, built)
+    denoiser, losses, seconds = _with_progress(
+        Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
+    )
+    card = {
+        "name": _stem(out).name,
+        "kind": kind,
+        "network": description,
+        "data": {
+            "folder": folder.name,
+            "source": source,
+            "licence": licence,
+            "pictures": {part: len(getattr(split, part)) for part in split._fields},
+            "validation": split.validation,
+            "test": split.test,
+        },
+        "normalisation": normalisation(how),
+        "preparation": dataclasses.asdict(how),
+        "training": {
+            "command": command,
+            "recipe": dataclasses.asdict(recipe),
+            "seconds": round(seconds),
+            "patches_per_second": round(recipe.steps * recipe.batch / max(seconds, 1e-9), 1),
+            "device": _device(),
+            "final_loss": round(float(np.mean(losses[-max(1, steps // 20) :])), 4),
+        },
+    }
+    save_weights(f"{_stem(out)}.safetensors", denoiser, card)
+
+
+def _stem(out: Path) -> Path:
+    return out.with_suffix("") if out.suffix == ".safetensors" else out
+
+
+def _data_folder(data: Path | None) -> Path:
+    """--data itself, or the folder of that name in the one that POSTERIOR_DATA names."""
+    home = os.environ.get("POSTERIOR_DATA")
+    if data is None and home is None:
+        raise ValueError("no pictures: give a folder with --data, or set POSTERIOR_DATA")
+    if data is None:
+        return Path(home)
+    return Path(home) / data if home and not data.exists() else data
+
+
+def _widths(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"widths {text!r}: give whole numbers, as in 32,64,96") from None
+
+
+def _description(network: str, channels: int, widths: list[int], blocks: int) -> dict[str, Any]:
+    """The network's entry in the card; NCSNv2 has one width, which it doubles itself."""
+    sizes = {"width": widths[0]} if network == "ncsnv2" else {"widths": widths}
+    return {"type": network, "channels": channels, **sizes, "blocks": blocks}
+
+
+def _initial(path: str, fresh: eqx.Module) -> eqx.Module:
+    """The network of earlier weights, which must have the shapes of the one asked for."""
+    card = json.loads(Path(path).with_suffix(".json").read_text())
+    earlier = load_denoiser(path, card["kind"], card["statistics"]["perturbation"]).network
+    shapes = [
+        jax.tree.map(lambda a: a.shape, eqx.filter(n, eqx.is_array)) for n in (fresh, earlier)
+    ]
+    if jax.tree.leaves(shapes[0]) != jax.tree.leaves(shapes[1]):
+        raise ValueError(f"{path} holds another network: give the --widths it was built with")
+    return earlier
+
+
+def _with_progress(
+    denoiser: Denoiser, pictures: list[np.ndarray], recipe: Recipe, checkpoint: Path, quiet: bool
+) -> tuple[Denoiser, np.ndarray, float]:
+    columns = (
+        TextColumn("training"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("loss {task.fields[loss]:.4f}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, disable=quiet, refresh_per_second=2) as bar:
+        task = bar.add_task("training", total=recipe.steps, loss=float("nan"))
+        return train(
+            denoiser,
+            pictures,
+            recipe,
+            checkpoint,
+            lambda done, loss: bar.update(task, completed=done, loss=loss),
+        )
+
+
+def _command(options: dict[str, Any]) -> str:
+    """The command line that gives these options, without paths of one computer."""
+    parts = ["posterior", "train"]
+    for name, value in options.items():
+        if value is None or name == "quiet":
+            continue
+        value = Path(value).name if name in ("data", "out", "init") else value
+        parts += [f"--{name}", shlex.quote(str(value))]
+    return " ".join(parts)
+
+
+def _device() -> str:
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return f"CPU, {os.cpu_count()} cores, jax {jax.__version__}"
+    return f"{device.device_kind}, jax {jax.__version__}"
