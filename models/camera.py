@@ -25,6 +25,7 @@ from .counts import (
     noisy_count_log_pdf,
     poisson_log_interval,
     poisson_log_pmf,
+    where_asked,
 )
 from .realview import is_complex, normal_like, real_score
 
@@ -268,7 +269,8 @@ class Poisson(_CountingCamera):
             table = jnp.asarray(firsts, expected.dtype)
             lo, hi = table[code], table[code + 1] - 1
             value = poisson_log_interval(lo, hi, lam, int(np.diff(firsts[:-1]).max()))
-        return jnp.where(saturated, _log_saturated(saturated, start, lam), value)
+        tail = partial(poisson_log_interval, start, jnp.inf, width=UNBOUNDED)
+        return jnp.where(saturated, where_asked(saturated, tail, lam, 0.0), value)
 
     def check(self, y: np.ndarray) -> None:
         """Refuse nan, inf, integers, complex, out of 0..1, and what no electron count gives."""
@@ -385,13 +387,6 @@ def _edges(full_well: int, bits: int) -> tuple[np.ndarray, np.ndarray]:
     numerator = (2 * np.arange(top + 1, dtype=np.int64) - 1) * full_well
     whole = numerator // (2 * top)
     return whole, (numerator - whole * 2 * top) / (2 * top)
-
-
-@partial(jax.jit, static_argnames="start")
-def _log_saturated(saturated: jax.Array, start: int, lam: jax.Array) -> jax.Array:
-    """log P(N >= start), if any pixel asks for it."""
-    tail = partial(poisson_log_interval, start, jnp.inf, lam, UNBOUNDED)
-    return jax.lax.cond(jnp.any(saturated), tail, lambda: jnp.zeros_like(lam))
 
 
 # ---- what is accepted ----------------------------------------------------------------------------
