@@ -53,6 +53,31 @@ def intensity_score(field: jax.Array, y: jax.Array, variance: jax.Array) -> jax.
     return field * (jnp.square(amplitude) / variance * ratio(argument) - 1) / variance
 
 
+def counted_intensity_score(
+    field: jax.Array, y: jax.Array, noise: jax.Array, annealing: jax.Array
+) -> jax.Array:
+    """Score, in `field`, of Poisson counts of the intensity |field + e|^2 ("convolved").
+
+    `noise`: variance of sqrt(y), so that y holds N = y F electrons, F = 1/(4 noise); `annealing`:
+    variance of e per real component, 0 allowed. The counts are those of laser light among thermal
+    light (Lachs 1965): with n_t = 2 F annealing and n_s = F |field|^2,
+        p(N | field) ~ exp(-n_s/(1 + n_t)) M(-N, b, -z),   z = n_s/(n_t (1 + n_t)),
+    M Kummer's function, b = 1 for a complex field and 1/2 for a real one. At annealing = 0 this is
+    the score of the counts themselves, in the dark too, where `intensity_score`, which takes
+    sqrt(y) to have the same variance at every brightness, is up to twice too sure.
+
+    Approximation: the logarithmic derivative of M, below 0.5 % (complex) and 1 % (real) for whole
+    N; measured against quadrature, the score errs by less than 2 % of 1/sd of the field.
+    """
+    b = 1.0 if jnp.iscomplexobj(field) else 0.5
+    full_well = 1 / (4 * noise)
+    count = full_well * jnp.maximum(y, 0.0)
+    thermal = 2 * full_well * annealing
+    coherent = full_well * (jnp.square(field.real) + jnp.square(field.imag)) / (1 + thermal)
+    per_signal = _kummer_slope(count, coherent, thermal, b)
+    return 2 * full_well * field * (per_signal - 1) / (1 + thermal)
+
+
 def published_intensity_score(field: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:
     """eq:complex_final as printed, `variance` standing for sigma_0^2 - sigma_t^2.
 
@@ -91,3 +116,20 @@ def _tanh_ratio(z: jax.Array) -> jax.Array:
     small = z < 1e-2
     safe = jnp.where(small, 1.0, z)
     return jnp.where(small, 1 - z**2 / 3, jnp.tanh(safe) / safe)
+
+
+def _kummer_slope(n: jax.Array, zt: jax.Array, t: jax.Array, b: float) -> jax.Array:
+    """w/t, w = d/dz log M(-n, b, -z), by zt = z t; t = 0 allowed, where it is n/(z t).
+
+    w solves Riccati's z (w' + w^2) + (b + z) w = n. First the form
+    2n/(b - 1 + z + sqrt((b + 1 + z)^2 + 4 (n - 1) z)), which has the right value and slope at
+    z = 0, the right two terms at infinity, and is exact for n = 0 and 1; then Riccati's equation
+    solved for w with the slope w' of that form.
+    """
+    tiny = jnp.finfo(zt.dtype).tiny
+    root = jnp.sqrt(jnp.maximum((t * (b + 1) + zt) ** 2 + 4 * (n - 1) * zt * t, tiny))
+    bottom = jnp.maximum(t * (b - 1) + zt + root, jnp.sqrt(tiny))
+    slope = 2 * n * (zt / bottom) * (t / bottom) * (1 + (t * (b + 1) + zt + 2 * (n - 1) * t) / root)
+    risen, linear = n + slope, t * b + zt
+    bottom = linear + jnp.sqrt(linear**2 + 4 * zt * risen * t)
+    return 2 * risen / jnp.maximum(bottom, jnp.sqrt(tiny))

@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from scipy.special import logsumexp
 
+from posterior import models
 from posterior.models import annealing
 
 
@@ -54,6 +56,59 @@ def test_real_intensity_score_is_the_slope_of_the_folded_normal(x64):
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
 
 
+def quadrature_of_counts(field, count, full_well, annealing):
+    """log p(N | f~) for radial f~ by brute force: Poisson counts of every |f~ + e|^2."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(150)
+    e, log_weight = np.sqrt(annealing) * nodes, np.log(np.maximum(weights, 1e-300))
+    if np.iscomplexobj(field):
+        intensity = (field.real + e[:, None]) ** 2 + (field.imag + e[None, :]) ** 2
+        log_weight = log_weight[:, None] + log_weight[None, :]
+    else:
+        intensity = (field + e) ** 2
+    log_pmf = stats.poisson.logpmf(count, full_well * intensity)
+    return logsumexp(log_pmf + log_weight)
+
+
+# Levels at which 150 nodes still resolve the likelihood: noise not far below the annealing error.
+@pytest.mark.parametrize("count", [0, 1, 4, 25, 400])
+@pytest.mark.parametrize("thermal", [0.2, 1.0, 10.0])
+@pytest.mark.parametrize("kind", [complex, float])
+def test_counted_score_is_the_slope_of_the_quadrature(x64, count, thermal, kind):
+    full_well = 100
+    noise, error = 1 / (4 * full_well), thermal / (2 * full_well)
+    sd, h = np.sqrt(noise + error), 1e-6
+    for amplitude in np.sqrt(np.array([0.3, 1.0, 3.0]) * (count + 1) / full_well):
+        field = amplitude * np.exp(0.7j) if kind is complex else amplitude
+        direction = field / amplitude
+        log_p = [
+            quadrature_of_counts(field + step * direction, count, full_well, error)
+            for step in (-h, h)
+        ]
+        expected = (log_p[1] - log_p[0]) / (2 * h)
+        found = annealing.counted_intensity_score(
+            jnp.asarray(field), jnp.asarray(count / full_well), noise, error
+        )
+        assert abs(found / direction - expected) * sd < 0.02
+
+
+@pytest.mark.parametrize("kind", [complex, float])
+def test_counted_score_without_annealing_is_that_of_the_counts(x64, kind):
+    camera, y = models.Poisson(100), jnp.asarray([0.0, 0.01, 0.5, 1.2])
+    field = jnp.asarray([0.2, 0.05, 0.6, 1.0], kind) * (np.exp(0.3j) if kind is complex else 1)
+    found = annealing.counted_intensity_score(field, y, camera.sigma0**2 / 4, 0.0)
+    expected = 2 * field * camera.full_well * (y / jnp.abs(field) ** 2 - 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_bright_counts_have_the_rician_score(x64):
+    """Where sqrt(y) has one variance at every brightness: 1e6 electrons."""
+    noise, field, y = 0.25e-6, jnp.asarray(0.9 + 0.3j), jnp.asarray(0.9)
+    for level in (0.0, 1e-7, 1e-5, 1e-2):
+        found = annealing.counted_intensity_score(field, y, noise, level)
+        rician = annealing.intensity_score(field, y, noise + level)
+        assert abs(found - rician) * np.sqrt(noise + level) < 0.01
+
+
 def test_signal_score_is_the_slope_of_its_normal_density(x64):
     y, variance = 0.4, 0.02
 
@@ -81,6 +136,10 @@ def test_scores_are_finite_in_float32(magnitude):
         assert np.all(np.isfinite(score)), (magnitude, y)
         real = annealing.intensity_score(field.real, jnp.float32(y), jnp.float32(1e-4))
         assert np.all(np.isfinite(real)), (magnitude, y)
+        for level in (0.0, 1e-12, 1.0):
+            for f in (field, field.real):
+                counted = annealing.counted_intensity_score(f, jnp.float32(y), 1e-4, level)
+                assert np.all(np.isfinite(counted)), (magnitude, y, level)
 
 
 def test_bessel_ratio_meets_its_series_without_a_step():

@@ -146,6 +146,15 @@ def test_annealed_score_of_counts_ends_at_the_exact_score(x64, path):
     np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["intensity, counts", "intensity, counts, real"])
+def test_annealed_score_of_intensities_ends_at_the_exact_score(x64, name):
+    likelihood, x = case(name)
+    y = likelihood.simulate(jax.random.key(1), x)
+    assert y.max() < 1, "a saturated pixel has another score"
+    found = likelihood.annealed_score(x, y, 1e-9, "convolved")
+    np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("x64_object", [0.7 + 0.2j])
 def test_annealed_score_of_a_complex_pixel_is_the_marginal_of_the_model(x64, x64_object):
     """y = |o~ + rest|^2 exactly, rest of variance (sigma_0^2 - sigma_t^2)/4 (eq:relaxed...)."""
