@@ -4,7 +4,7 @@ All chains are pooled: one step size, one metric. The state of the sampler is on
 that a tuned chain is an ordinary Markov chain (Hoffman and Gelman 2014; the windows are Stan's).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ from .metric import Metric
 
 
 class Spread(NamedTuple):
-    """Running count, mean and sum of squares (Re and Im apart) of batches of arrays."""
+    """Running count, mean and sum of squares (Re and Im apart) of batches of a pytree of arrays."""
 
     count: jax.Array
-    mean: jax.Array
-    squares: jax.Array
+    mean: Any
+    squares: Any
 
 
 class AdaptationState(NamedTuple):
@@ -47,12 +47,9 @@ class MetropolisAdaptation(Adaptation):
 
     def init(self, states: State) -> AdaptationState:
         """Fresh dual averaging around the sampler's own step size, empty spreads."""
-        coordinates = jax.vmap(states.metric.coordinates)
-        zero = jnp.log(states.step_size)
+        position, score = _coordinates(states)
         return AdaptationState(
-            *_restart(zero),
-            empty_spread(coordinates(states.position)[0]),
-            empty_spread(coordinates(states.score)[0]),
+            *_restart(jnp.log(states.step_size)), empty_spread(position), empty_spread(score)
         )
 
     def step(
@@ -69,10 +66,10 @@ class MetropolisAdaptation(Adaptation):
         states = states._replace(step_size=jnp.exp(adapted.log_step))
         if not self.learn_metric:
             return states, adapted
-        coordinates = jax.vmap(states.metric.coordinates)
+        position, score = _coordinates(states)
         adapted = adapted._replace(
-            position=update_spread(adapted.position, coordinates(states.position)),
-            score=update_spread(adapted.score, coordinates(states.score)),
+            position=update_spread(adapted.position, position),
+            score=update_spread(adapted.score, score),
         )
         at_end = jnp.asarray(_window_ends(warmup))[index]
         return jax.lax.cond(at_end, self._new_metric, lambda *a: a, states, adapted)
@@ -82,9 +79,7 @@ class MetropolisAdaptation(Adaptation):
         return states._replace(step_size=jnp.exp(adapted.log_step_mean))
 
     def _new_metric(self, states: State, adapted: AdaptationState) -> tuple[State, AdaptationState]:
-        metric = type(states.metric).from_spread(
-            variance(adapted.position), variance(adapted.score)
-        )
+        metric = states.metric.learned(variance(adapted.position), variance(adapted.score))
         # The step size is in units of the metric: keep the length of a typical move.
         factor = _typical(states.metric) / _typical(metric)
         log_step = adapted.log_step + jnp.log(factor)
@@ -96,29 +91,41 @@ class MetropolisAdaptation(Adaptation):
         )
 
 
-def empty_spread(example: jax.Array) -> Spread:
-    """A spread of nothing, for arrays like `example`."""
-    zeros = jnp.zeros_like(example)
-    return Spread(jnp.zeros((), example.real.dtype), zeros, zeros)
+def empty_spread(batch: Any) -> Spread:
+    """A spread of nothing, for batches like this pytree of arrays (chain axis first)."""
+    zeros = jax.tree.map(lambda x: jnp.zeros_like(x[0]), batch)
+    return Spread(jnp.zeros((), jax.tree.leaves(batch)[0].real.dtype), zeros, zeros)
 
 
-def update_spread(spread: Spread, batch: jax.Array) -> Spread:
-    """Add a batch (leading axis) by Chan's pairwise formula; Re and Im apart."""
-    n = batch.shape[0]
+def update_spread(spread: Spread, batch: Any) -> Spread:
+    """Add a batch by Chan's pairwise formula; Re and Im apart."""
+    n = jax.tree.leaves(batch)[0].shape[0]
     total = spread.count + n
-    batch_mean = batch.mean(axis=0)
-    delta = batch_mean - spread.mean
-    squares = (
-        spread.squares
-        + _square(batch - batch_mean).sum(axis=0)
-        + _square(delta) * (spread.count * n / total)
+    batch_mean = jax.tree.map(lambda x: x.mean(axis=0), batch)
+    delta = jax.tree.map(jnp.subtract, batch_mean, spread.mean)
+    mean = jax.tree.map(lambda m, d: m + d * (n / total), spread.mean, delta)
+    squares = jax.tree.map(
+        lambda s, x, m, d: s + _square(x - m).sum(axis=0) + _square(d) * (spread.count * n / total),
+        spread.squares,
+        batch,
+        batch_mean,
+        delta,
     )
-    return Spread(total, spread.mean + delta * (n / total), squares)
+    return Spread(total, mean, squares)
 
 
-def variance(spread: Spread) -> jax.Array:
+def variance(spread: Spread) -> Any:
     """Variance of Re and, in the imaginary part, of Im."""
-    return spread.squares / jnp.maximum(spread.count - 1, 1)
+    return jax.tree.map(lambda s: s / jnp.maximum(spread.count - 1, 1), spread.squares)
+
+
+def _coordinates(states: State) -> tuple[Any, Any]:
+    """Positions and scores of all chains in the coordinates of their metric."""
+    metric = states.metric
+    return (
+        jax.vmap(metric.position_coordinates)(states.position),
+        jax.vmap(metric.score_coordinates)(states.score),
+    )
 
 
 def _square(x: jax.Array) -> jax.Array:
@@ -155,8 +162,8 @@ def _typical(metric: Metric) -> jax.Array:
 def _window_ends(warmup: int) -> np.ndarray:
     """Where the metric is renewed: windows that double, after a tenth and before a fifth."""
     ends = np.zeros(max(warmup, 1), dtype=bool)
-    begin, last = warmup // 10, warmup - warmup // 5
-    width = max(10, warmup // 40)
+    begin, last = 0, warmup - warmup // 5
+    width = max(10, warmup // 100)
     while begin + width < last:
         begin += width
         width *= 2

@@ -34,7 +34,7 @@ class MALAInfo(NamedTuple):
 class MALA(Sampler):
     """Langevin proposals with a Metropolis test (Roberts and Tweedie 1996).
 
-    Proposal x + h M score + sqrt(2 h) M^(1/2) n. `step_size` h is in units of the metric M;
+    Proposal x + h M score + sqrt(2 h) R n, M = R R^T. `step_size` h is in units of the metric M;
     warm-up adapts it to an acceptance of `target` (0.574, optimal in many dimensions: Roberts and
     Rosenthal 1998) and learns M, of the kind `preconditioner`: "diagonal", "fourier", "none", or
     "auto": Fourier-diagonal for pictures of 256 pixels or more, diagonal otherwise.
@@ -70,13 +70,13 @@ class MALA(Sampler):
     def step(self, key: jax.Array, state: MALAState) -> tuple[MALAState, MALAInfo]:
         """One proposal, accepted or not."""
         key_noise, key_accept = jax.random.split(key)
-        h, root = state.step_size, state.metric.root
+        h, metric = state.step_size, state.metric
         noise = normal_like(key_noise, state.position)
-        move = h * root(state.score) + jnp.sqrt(2 * h) * noise
-        position = state.position + root(move)
+        move = h * metric.root_adjoint(state.score) + jnp.sqrt(2 * h) * noise
+        position = state.position + metric.root(move)
         log_prob, score = state.posterior.log_prob_and_score(position)
-        # In units of M the way back needs the noise -(noise + sqrt(h/2) M^(1/2) (s + s')).
-        noise_back = noise + jnp.sqrt(h / 2) * root(state.score + score)
+        # In units of M the way back needs the noise -(noise + sqrt(h/2) R^T (s + s')).
+        noise_back = noise + jnp.sqrt(h / 2) * metric.root_adjoint(state.score + score)
         log_ratio = log_prob - state.log_prob + 0.5 * (_norm2(noise) - _norm2(noise_back))
         # A NaN ratio (a proposal where the density is undefined) is a rejection.
         acceptance = jnp.where(jnp.isnan(log_ratio), 0.0, jnp.exp(jnp.minimum(log_ratio, 0.0)))
