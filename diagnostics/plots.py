@@ -32,19 +32,6 @@ class ComplexMaps(NamedTuple):
     width_phase: np.ndarray
 
 
-def align_phase(values: np.ndarray, reference: np.ndarray | None = None) -> np.ndarray:
-    """Complex draws (chains, draws, *shape), each turned by the global phase nearest `reference`.
-
-    `reference`: an object; None: the mean of the draws, once all are turned to the first.
-    """
-    if reference is None:
-        values = align_phase(values, values[0, 0])
-        reference = values.mean(axis=(0, 1))
-    overlap = np.tensordot(values, reference.conj(), axes=reference.ndim)
-    turn = np.exp(-1j * np.angle(overlap))
-    return values * turn.reshape(*turn.shape, *(1,) * reference.ndim)
-
-
 def complex_maps(values: np.ndarray, level: float = 0.9) -> ComplexMaps:
     """Maps of aligned complex draws (chains, draws, *shape).
 
@@ -81,7 +68,7 @@ def overview(
     `draws`: objects (h, w), two or more; `mean`: an object; `data`: any picture, shown on the
     object's scale if `data_is_object`. `sd` and `width` (of the 90 % interval) are (h, w); for
     complex objects (2, h, w), of amplitude and of phase in radians, and then `truth` and `draws`
-    must be aligned to `mean` (`align_phase`). Without `truth` its panel, and that of the error of
+    must be aligned to `mean` (`gauge.align`). Without `truth` its panel, and that of the error of
     the mean, are left out.
     """
     shown = _Shown(truth, data, draws, mean, sd, width, data_title, data_is_object)

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..diagnostics.convergence import ess, rhat
-from ..diagnostics.plots import align_phase, complex_maps
+from ..diagnostics.gauge import align, gauge_to
+from ..diagnostics.plots import complex_maps
 from ..diagnostics.spread import interval, interval_width
 from ..draws import Draws
-from ..models.optics import CONJUGATE_FLIP, Optics
+from ..models.optics import GLOBAL_PHASE, Optics
 from ..presets import DENOISING, Question
 from ..samplers import Sampler
 from ..samplers.base import PopulationSampler
@@ -55,36 +56,19 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
 
 
 def _aligned(values: np.ndarray, optics: Optics, truth: np.ndarray | None) -> np.ndarray:
-    """Draws that the data cannot tell apart, brought together: global phase, or twin image.
+    """Draws that the data cannot tell apart, brought together.
 
-    Then, where the truth is known, all of them are turned to it as one.
+    Then, where the truth is known, all of them are brought to it as one. The sign of a real object
+    is not among what is aligned: the prior tells it, by its mean.
     """
-    if np.iscomplexobj(values):
-        values = align_phase(values)
-        if truth is None:
-            return values
-        return values * np.exp(1j * np.angle(np.vdot(values.mean(axis=(0, 1)), truth)))
-    if CONJUGATE_FLIP not in optics.symmetries:
+    real = not np.iscomplexobj(values)
+    symmetries = [s for s in optics.symmetries if not (real and s == GLOBAL_PHASE)]
+    if not symmetries:
         return values
-    values = _untwinned(values, values[0, 0])
-    values = _untwinned(values, values.mean(axis=(0, 1)))
-    is_twin = truth is not None and _nearer_twin(values.mean(axis=(0, 1)), truth)
-    return _twin(values) if is_twin else values
-
-
-def _untwinned(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Real draws, each turned by 180 degrees if that brings it nearer to `reference`."""
-    return np.array(
-        [[_twin(x) if _nearer_twin(x, reference) else x for x in chain] for chain in values]
-    )
-
-
-def _twin(x: np.ndarray) -> np.ndarray:
-    return np.flip(x, axis=(-2, -1))
-
-
-def _nearer_twin(x: np.ndarray, reference: np.ndarray) -> bool:
-    return bool(np.vdot(_twin(x), reference) > np.vdot(x, reference))
+    values = align(values, symmetries=symmetries)
+    if truth is None:
+        return values
+    return gauge_to(values.mean(axis=(0, 1)), truth, symmetries).apply(values)
 
 
 def _psnr(estimate: np.ndarray, truth: np.ndarray) -> float:
