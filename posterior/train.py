@@ -7,7 +7,6 @@ on a finished training it only writes the results anew.
 
 import dataclasses
 import hashlib
-import json
 import os
 import re
 import shlex
@@ -25,9 +24,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from .checkpoint import Checkpoint, fingerprint
 from .images import read_picture, to_grey, to_unit_range
 from .models.priors.denoiser import Denoiser, Statistics
-from .models.priors.learned import suited_shape
+from .models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior, suited_shape
+from .models.priors.perturbation import check_perturbation
 from .models.priors.pictures import Pictures
-from .models.priors.storage import build_network, load_denoiser, save_weights
+from .models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from .models.priors.training import (
     Recipe,
     TrainingState,
@@ -35,6 +35,7 @@ from .models.priors.training import (
     steps_per_call,
     train_steps,
 )
+from .training_report import PATCHES, central_patches, denoising, write_report
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".npz", ".jpg", ".jpeg")
 OBJECTS = {"grey": 1, "colour": 3, "complex": 2}
@@ -289,6 +290,7 @@ def train_command(
 ) -> None:
     """Train a prior on a folder of pictures; the same command goes on where it was stopped."""
     command = _command(locals())
+    check_perturbation(perturbation, objects == "complex")
     how = Preparation(
         objects, percentile, floor if perturbation == "signal" else 0.0, group, validation, test
     )
@@ -308,6 +310,7 @@ def train_command(
     denoiser, losses, seconds = _with_progress(
         Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
     )
+    prior, table = _validated(denoiser, kind, [prepare(files[n], how) for n in split.validation])
     card = {
         "name": _stem(out).name,
         "kind": kind,
@@ -330,8 +333,32 @@ def train_command(
             "device": _device(),
             "final_loss": round(float(np.mean(losses[-max(1, steps // 20) :])), 4),
         },
+        "validation": {"denoising_psnr_db": table, "patches": PATCHES},
+        "limits": _limits(statistics, size),
     }
     save_weights(f"{_stem(out)}.safetensors", denoiser, card)
+    write_report(Path(f"{_stem(out)}.training"), prior, losses, table, seed)
+
+
+def _validated(
+    denoiser: Denoiser, kind: str, pictures: list[np.ndarray]
+) -> tuple[LearnedPrior, dict[str, dict[str, float | None]]]:
+    """The prior for patches, and how it denoises pictures that it was not trained on."""
+    patches = central_patches(pictures, denoiser.network.stride)
+    colour = denoiser.network.channels == 3
+    shape = patches.shape[1:] if colour else patches.shape[1:3]
+    prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
+    return prior, denoising(prior, patches)
+
+
+def _limits(statistics: Statistics, size: int) -> list[str]:
+    """What the weights are not good for, for the card."""
+    return [
+        f"Levels below {statistics.sigma_min:g} are held at it; above {statistics.sigma_max:g} "
+        "the network sees a picture that is fainter than any it was trained on.",
+        f"Trained on patches of {size} pixels: it knows no structure much larger than that.",
+        "Pictures in other units, of other things or from other optics are outside the prior.",
+    ]
 
 
 def _stem(out: Path) -> Path:
@@ -363,7 +390,9 @@ def _description(network: str, channels: int, widths: list[int], blocks: int) ->
 
 def _initial(path: str, fresh: eqx.Module) -> eqx.Module:
     """The network of earlier weights, which must have the shapes of the one asked for."""
-    card = json.loads(Path(path).with_suffix(".json").read_text())
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no file {path}: give the path of a .safetensors file")
+    card = read_card(Path(path))
     earlier = load_denoiser(path, card["kind"], card["statistics"]["perturbation"]).network
     shapes = [
         jax.tree.map(lambda a: a.shape, eqx.filter(n, eqx.is_array)) for n in (fresh, earlier)

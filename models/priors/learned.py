@@ -25,6 +25,7 @@ from ..annealing import component_sd
 from ..realview import normal_like
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
+from .layers import frozen
 from .perturbation import score_from_denoised
 
 
@@ -170,7 +171,7 @@ class EnergyPrior(LearnedPrior):
     sampling_steps: int = eqx.field(static=True)
 
     def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
-        self.denoiser = denoiser
+        self.denoiser = frozen(denoiser)
         self.shape = suited_shape(shape, denoiser)
         self.complex_valued = denoiser.statistics.complex_valued
         self.perturbation = denoiser.statistics.perturbation

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .layers import Conv, LevelEmbedding, Linear
+from .layers import Conv, LevelEmbedding, Linear, new_conv
 
 
 class NCSNv2(eqx.Module):
@@ -39,7 +39,7 @@ class NCSNv2(eqx.Module):
         self.channels, self.stride = channels, 2
         keys = iter(jax.random.split(key, 8 + 4 * blocks))
         self.embedding = LevelEmbedding(embedding, next(keys))
-        self.first = Conv(channels, width, next(keys))
+        self.first = new_conv(channels, width, next(keys))
         widths, dilations = (width, 2 * width, 2 * width, 2 * width), (1, 1, 2, 4)
         self.stages, before = [], width
         for i, (after, dilation) in enumerate(zip(widths, dilations)):
@@ -56,7 +56,7 @@ class NCSNv2(eqx.Module):
         ins = ((2 * width,), (2 * width, outs[0]), (2 * width, outs[1]), (width, outs[2]))
         self.refine = [RefineBlock(i, o, embedding, next(keys)) for i, o in zip(ins, outs)]
         self.norm = InstanceNormPlus(width, embedding, next(keys))
-        self.last = Conv(width, channels, next(keys), gain=1e-2)
+        self.last = new_conv(width, channels, next(keys), gain=1e-2)
 
     def __call__(self, x: jax.Array, log_level: jax.Array) -> jax.Array:
         """The network's raw output; preconditioning is in denoiser.py."""
@@ -116,11 +116,11 @@ class ResidualBlock(eqx.Module):
             InstanceNormPlus(width_out, embedding, keys[1]),
         ]
         self.convs = [
-            Conv(width_in, width_out, keys[2], dilation=dilation, gain=2.0),
-            Conv(width_out, width_out, keys[3], dilation=dilation, gain=0.5),
+            new_conv(width_in, width_out, keys[2], dilation=dilation, gain=2.0),
+            new_conv(width_out, width_out, keys[3], dilation=dilation, gain=0.5),
         ]
         same = width_in == width_out
-        self.shortcut = None if same else Conv(width_in, width_out, keys[4], side=1)
+        self.shortcut = None if same else new_conv(width_in, width_out, keys[4], side=1)
         self.shrink = shrink
 
     def __call__(self, x: jax.Array, level: jax.Array) -> jax.Array:
@@ -143,8 +143,8 @@ class RefineBlock(eqx.Module):
     def __init__(self, widths_in: tuple[int, ...], width: int, embedding: int, key: jax.Array):
         keys = iter(jax.random.split(key, 2 * len(widths_in) + 3))
         self.adapt = [ConvUnit(w, embedding, next(keys)) for w in widths_in]
-        self.merge = [Conv(w, width, next(keys)) for w in widths_in]
-        self.chain = [Conv(width, width, next(keys), gain=0.5) for _ in range(2)]
+        self.merge = [new_conv(w, width, next(keys)) for w in widths_in]
+        self.chain = [new_conv(width, width, next(keys), gain=0.5) for _ in range(2)]
         self.finish = ConvUnit(width, embedding, next(keys))
 
     def __call__(self, maps: list[jax.Array], level: jax.Array) -> jax.Array:
@@ -168,7 +168,7 @@ class ConvUnit(eqx.Module):
     def __init__(self, width: int, embedding: int, key: jax.Array):
         keys = jax.random.split(key, 4)
         self.norms = [InstanceNormPlus(width, embedding, k) for k in keys[:2]]
-        self.convs = [Conv(width, width, k, gain=g) for k, g in zip(keys[2:], (2.0, 0.1))]
+        self.convs = [new_conv(width, width, k, gain=g) for k, g in zip(keys[2:], (2.0, 0.1))]
 
     def __call__(self, x: jax.Array, level: jax.Array) -> jax.Array:
         """(h, w, width) -> the same shape."""

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .layers import Conv, LevelEmbedding, Linear, gather_pixels, scatter_pixels
+from .layers import Conv, LevelEmbedding, Linear, gather_pixels, new_conv, scatter_pixels
 
 
 class UNet(eqx.Module):
@@ -52,17 +52,17 @@ class UNet(eqx.Module):
         self.channels = channels
         self.stride = 2 ** len(widths)
         self.embedding = LevelEmbedding(embedding, next(keys))
-        self.fine_in = Conv(channels, fine, next(keys))
-        self.coarse_in = Conv(4 * channels, widths[0], next(keys))
+        self.fine_in = new_conv(channels, fine, next(keys))
+        self.coarse_in = new_conv(4 * channels, widths[0], next(keys))
         steps = list(zip(widths[:-1], widths[1:]))
         self.down = [[Block(w, embedding, next(keys)) for _ in range(blocks)] for w in widths]
-        self.shrink = [Conv(4 * a, b, next(keys), side=1) for a, b in steps]
+        self.shrink = [new_conv(4 * a, b, next(keys), side=1) for a, b in steps]
         self.middle = Block(widths[-1], embedding, next(keys))
-        self.grow = [Conv(b, 4 * a, next(keys), side=1) for a, b in steps]
+        self.grow = [new_conv(b, 4 * a, next(keys), side=1) for a, b in steps]
         self.up = [[Block(w, embedding, next(keys)) for _ in range(blocks)] for w in widths[:-1]]
-        self.coarse_out = Conv(widths[0], 4 * fine, next(keys), side=1)
+        self.coarse_out = new_conv(widths[0], 4 * fine, next(keys), side=1)
         self.fine_block = Block(fine, embedding, next(keys))
-        self.fine_out = Conv(fine, channels, next(keys), gain=1e-2)
+        self.fine_out = new_conv(fine, channels, next(keys), gain=1e-2)
 
     def __call__(self, x: jax.Array, log_level: jax.Array) -> jax.Array:
         """The network's raw output; preconditioning is in denoiser.py."""
@@ -91,9 +91,9 @@ class Block(eqx.Module):
 
     def __init__(self, width: int, embedding: int, key: jax.Array):
         keys = jax.random.split(key, 3)
-        self.first = Conv(width, width, keys[0], gain=2.0)
+        self.first = new_conv(width, width, keys[0], gain=2.0)
         # A small start of the branch lets many blocks follow each other without normalisation.
-        self.second = Conv(width, width, keys[1], gain=0.1)
+        self.second = new_conv(width, width, keys[1], gain=0.1)
         self.modulation = Linear(embedding, 2 * width, keys[2], gain=1e-2)
 
     def __call__(self, x: jax.Array, level: jax.Array) -> jax.Array:
