@@ -37,8 +37,12 @@ def line_integral(
     """
     points, weights = np.polynomial.legendre.leggauss(nodes)
     way = end - start
-    scores = [prior.score(start + ((1 + t) / 2 * way).astype(start.dtype), sigma) for t in points]
-    values = jnp.stack([jnp.sum(to_real(score) * to_real(way)) for score in scores])
+
+    def along(t: jax.Array) -> jax.Array:
+        score = prior.score((start + t * way).astype(start.dtype), sigma)
+        return jnp.sum(to_real(score) * to_real(way))
+
+    values = jax.lax.map(along, jnp.asarray((1 + points) / 2, start.real.dtype))
     return jnp.sum(values * jnp.asarray(weights, values.dtype)) / 2
 
 
@@ -63,10 +67,11 @@ def loop_check(
         x = x + step * normal_like(keys[1], x)
         u, v = (normal_like(k, x) for k in keys[2:])
         a, b = x + size * step * u, x + size * step * v
-        legs = [line_integral(prior, *pair, sigma) for pair in ((x, a), (a, b), (b, x))]
+        sides = jnp.stack([x, a, b]), jnp.stack([a, b, x])
+        legs = jax.lax.map(lambda side: line_integral(prior, *side, sigma), sides)
         forward = _product(prior, x, sigma, v, u)
         backward = _product(prior, x, sigma, u, v)
-        return legs[0], sum(legs), forward - backward, forward + backward
+        return legs[0], jnp.sum(legs), forward - backward, forward + backward
 
     legs, sums, odd, even = jax.lax.map(jax.jit(one), jax.random.split(key, loops))
 

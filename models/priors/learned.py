@@ -119,7 +119,7 @@ class ScorePrior(LearnedPrior):
     sampling_steps: int = eqx.field(static=True)
 
     def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
-        self.denoiser = denoiser
+        self.denoiser = frozen(denoiser)
         self.shape = suited_shape(shape, denoiser)
         self.complex_valued = denoiser.statistics.complex_valued
         self.perturbation = denoiser.statistics.perturbation
