@@ -1,3 +1,4 @@
 """Estimators: single answers, to compare with and to start from."""
 
 from .hio import Retrieved, hio
+from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior

@@ -1,0 +1,228 @@
+"""Quasi-Newton: the object of highest likelihood, or of highest posterior density, by L-BFGS.
+
+For Fourier ptychography it is the method that Yeh et al. (Optics Express 23, 33214, 2015) found
+most robust, here on the exact likelihood of what was recorded.
+"""
+
+import operator
+import warnings
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from ..models.likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
+from ..models.optics import FourierPtychography
+from ..models.realview import from_real, to_real
+from ..problem import Posterior
+
+with warnings.catch_warnings():
+    # It works, and is pinned; that nobody maintains it is known here.
+    warnings.filterwarnings("ignore", "JAXopt is no longer maintained", DeprecationWarning)
+    import jaxopt
+
+
+class Optimum(NamedTuple):
+    """An object (*shape) where the climb ended, and the log-probability there.
+
+    `gradient`: norm of the gradient there, over that at the start; `iterations`: how many it took.
+    """
+
+    object: jax.Array
+    log_prob: jax.Array
+    gradient: jax.Array
+    iterations: jax.Array
+
+
+def maximum_likelihood(
+    likelihood: Likelihood,
+    y: ArrayLike,
+    start: ArrayLike | None = None,
+    *,
+    iterations: int = 200,
+    tolerance: float = 1e-5,
+    history: int = 10,
+) -> Optimum:
+    """The object under which the recording `y` is most probable, no prior.
+
+    - `y`: of `likelihood.data_shape`, normalised.
+    - `start`: an object, real or complex: what is found is of its kind, and lies in its valley.
+      None: `default_start`.
+    - `iterations`: at most; it ends earlier where the gradient falls below `tolerance` times that
+      at the start, or where rounding leaves no higher step to be found.
+    - `history`: steps that the approximate curvature is built from.
+
+    One compiled loop, in the real view. Raises ValueError for data that cannot be such a recording,
+    a start that is not finite, or dark where light was recorded, and settings out of range.
+    """
+    y = _recording(likelihood, y)
+    start = default_start(likelihood, y) if start is None else start
+    target = _Data(likelihood, jnp.asarray(y))
+    return _climb(target, likelihood, y, start, iterations, tolerance, history)
+
+
+def maximum_posterior(
+    posterior: Posterior,
+    start: ArrayLike | None = None,
+    *,
+    iterations: int = 200,
+    tolerance: float = 1e-5,
+    history: int = 10,
+) -> Optimum:
+    """The object of highest posterior density (MAP); the prior needs a `log_prob`.
+
+    As `maximum_likelihood`; the object is of the prior's kind.
+    """
+    likelihood, y = posterior.likelihood, posterior.y
+    start = default_start(likelihood, y) if start is None else start
+    if jnp.iscomplexobj(start) and not posterior.prior.complex_valued:
+        raise ValueError(f"the start is complex ({start.dtype}), but the prior is for real objects")
+    start = jnp.asarray(start, posterior.dtype)
+    return _climb(posterior, likelihood, y, start, iterations, tolerance, history)
+
+
+def default_start(likelihood: Likelihood, y: ArrayLike) -> jax.Array:
+    """An object (*shape) to climb from, for optics that tell one.
+
+    Ptychography: mean amplitude of the bright-field images (of all, if there is none), brought to
+    the object's pixels by Fourier interpolation; complex. Linear optics: c H^H y with the c that
+    fits best. Raises ValueError for the rest: an object without phases is no start.
+    """
+    optics = likelihood.optics
+    if isinstance(likelihood, LinearLikelihood):
+        back = optics.adjoint(jnp.asarray(y))
+        seen = optics(back)
+        scale = jnp.vdot(seen, jnp.asarray(y)).real / jnp.vdot(seen, seen).real
+        return back * scale.astype(back.dtype)
+    if isinstance(likelihood, IntensityLikelihood) and isinstance(optics, FourierPtychography):
+        return _bright_field(likelihood, optics, y)
+    raise ValueError(
+        f"{type(optics).__name__} optics give no start: give start=, such as hio(...).object"
+    )
+
+
+class _Data(eqx.Module):
+    """A likelihood and its recording: the target that has no prior."""
+
+    likelihood: Likelihood
+    y: jax.Array
+
+    def log_prob_and_score(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return self.likelihood.log_prob_and_score(x, self.y)
+
+
+def _climb(
+    target: Posterior | _Data,
+    likelihood: Likelihood,
+    y: ArrayLike,
+    start: ArrayLike,
+    iterations: int,
+    tolerance: float,
+    history: int,
+) -> Optimum:
+    start = _checked_start(start, likelihood.object_shape)
+    for name, value in (("iterations", iterations), ("history", history)):
+        _check_count(name, value)
+    if not 0 <= tolerance < 1:
+        raise ValueError(f"tolerance {tolerance}: a fraction of the start's gradient, from 0 to 1")
+    _check_lit(likelihood, y, start)
+    # In units of the stiffest curvature the first step, along the gradient, is of the right size.
+    stiffest = jnp.max(likelihood.curvature(jnp.iscomplexobj(start), y, 0.0, "convolved"))
+    return _minimise(target, start, stiffest, jnp.asarray(tolerance), iterations, history)
+
+
+@eqx.filter_jit
+def _minimise(
+    target: Posterior | _Data,
+    start: jax.Array,
+    stiffest: jax.Array,
+    tolerance: jax.Array,
+    iterations: int,
+    history: int,
+) -> Optimum:
+    def cost(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        value, score = target.log_prob_and_score(from_real(v, start.shape, start.dtype))
+        return -value / stiffest, -to_real(score) / stiffest
+
+    v = to_real(start)
+    steepest = jnp.linalg.norm(cost(v)[1])
+    solver = jaxopt.LBFGS(
+        cost,
+        value_and_grad=True,
+        maxiter=iterations,
+        tol=tolerance * steepest,
+        history_size=history,
+        stop_if_linesearch_fails=True,
+        implicit_diff=False,
+        unroll=False,
+    )
+    v, state = solver.run(v)
+    relative = jnp.where(steepest > 0, state.error / steepest, 0.0)
+    o = from_real(v, start.shape, start.dtype)
+    return Optimum(o, -state.value * stiffest, relative, state.iter_num)
+
+
+# ---- where to start ------------------------------------------------------------------------------
+
+
+def _bright_field(
+    likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
+) -> jax.Array:
+    amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
+    low = optics.pupil.shape
+    # The LED's own light, frequency zero, passes the pupil at the place opposite to the centre.
+    place = np.array(low) // 2 - np.asarray(optics.centres)
+    inside = np.all((place >= 0) & (place < low), axis=1)
+    row, column = np.where(inside[:, None], place, 0).T
+    bright = inside & (np.asarray(optics.pupil)[row, column] != 0)
+    mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
+    whole = FourierPtychography(optics.in_shape, np.zeros((1, 2), int), np.ones(low))
+    return whole.adjoint(mean[None]) / whole.norm_squared()
+
+
+# ---- what is accepted ----------------------------------------------------------------------------
+
+
+def _recording(likelihood: Likelihood, y: ArrayLike) -> jax.Array:
+    if not isinstance(likelihood, Likelihood):
+        raise ValueError(
+            f"likelihood is a {type(likelihood).__name__}: give a Likelihood of models, or a "
+            "Posterior to maximum_posterior"
+        )
+    y = np.asarray(y)
+    if y.shape != likelihood.data_shape:
+        raise ValueError(f"data of shape {y.shape}: these optics record {likelihood.data_shape}")
+    likelihood.camera.check(y)
+    return jnp.asarray(y, jax.dtypes.canonicalize_dtype(complex if np.iscomplexobj(y) else float))
+
+
+def _checked_start(start: ArrayLike, shape: tuple[int, ...]) -> jax.Array:
+    start = jnp.asarray(start)
+    if start.shape != shape:
+        raise ValueError(f"start of shape {start.shape}: the object has shape {shape}")
+    if not jnp.issubdtype(start.dtype, jnp.inexact):
+        start = start.astype(float)
+    bad = int(jnp.sum(~jnp.isfinite(start)))
+    if bad:
+        raise ValueError(f"start holds {bad} values that are not finite: give numbers everywhere")
+    return start
+
+
+def _check_lit(likelihood: Likelihood, y: ArrayLike, start: jax.Array) -> None:
+    if isinstance(likelihood, IntensityLikelihood):
+        # The gradient of |H o|^2 is zero there.
+        dark = not jnp.any(start != 0)
+    else:
+        dark = likelihood.camera.counting and jnp.any((likelihood.expected(start) <= 0) & (y > 0))
+    if dark:
+        raise ValueError(
+            "the start is dark where light was recorded: give start= an object that shines there"
+        )
+
+
+def _check_count(name: str, value: int) -> None:
+    if isinstance(value, bool) or not hasattr(value, "__index__") or operator.index(value) < 1:
+        raise ValueError(f"{name} {value}: give a whole number, 1 or more")
