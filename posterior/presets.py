@@ -2,12 +2,13 @@
 
 Each takes a picture of the object, which a simulated camera records, or a recording, and gives the
 `Problem`, the data and, if it is known, the truth. The prior is a Gaussian field fitted to pictures
-of other things. At the end, the samplers by name.
+of other things, or a network that was trained on them. At the end, the samplers by name.
 """
 
 import hashlib
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +22,8 @@ from .images import fit_to, read_picture, to_grey, to_unit_range
 from .models.camera import Poisson
 from .models.likelihood import IntensityLikelihood, LinearLikelihood
 from .models.optics import Fourier, FourierPtychography, Identity, Optics
-from .models.priors import GaussianField
+from .models.priors import GaussianField, Prior, ScorePrior
+from .models.priors.storage import card_of, shipped_names
 from .problem import Posterior, Problem
 from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
 from .sampling import sample
@@ -91,16 +93,17 @@ def simulate(
     `picture` is an array as `read_picture` gives it; for ptychography a complex one is the object
     itself, and a grey one becomes one by `complex_object`. `size` None: the application's own, or
     the picture's if that is smaller. `prior`: a picture or a folder of them, None for those of
-    scikit-image. `irradiance` None: the brightest expected pixel just meets the full well, with
-    four standard deviations of its photon noise to spare. Raises ValueError on what does not fit.
+    scikit-image; or the name of trained weights ("nuclei"), or a .safetensors file. `irradiance`
+    None: the brightest expected pixel just meets the full well, with four standard deviations of
+    its photon noise to spare. Raises ValueError on what does not fit.
     """
     truth = _object(name, picture, size)
     optics = _optics(name, truth.shape, oversampling)
-    field, names = _fitted_prior(name, truth.shape, prior, truth)
-    x = jnp.asarray(truth, field.dtype)
+    known, names = _prior(name, truth.shape, prior, truth)
+    x = jnp.asarray(truth, known.dtype)
     if irradiance is None and name != DENOISING:
         irradiance = _full_exposure(float(jnp.max(jnp.abs(optics(x)) ** 2)), camera)
-    problem = _problem(optics, camera, field, irradiance)
+    problem = _problem(optics, camera, known, irradiance)
     y = np.asarray(problem.likelihood.simulate(key, x))
     return Question(problem, y, truth, irradiance, names)
 
@@ -125,15 +128,13 @@ def record(
     y = _normalised(data, camera)
     optics = _optics(name, _object_shape(name, y, size, oversampling), oversampling)
     camera.check(y)
-    field, names = _fitted_prior(name, optics.in_shape, prior, None)
+    known, names = _prior(name, optics.in_shape, prior, None)
     if irradiance is None and name != DENOISING:
-        irradiance = _irradiance_of(y, optics, field)
-    return Question(_problem(optics, camera, field, irradiance), y, None, irradiance, names)
+        irradiance = _irradiance_of(y, optics, known)
+    return Question(_problem(optics, camera, known, irradiance), y, None, irradiance, names)
 
 
-def _problem(
-    optics: Optics, camera: Poisson, prior: GaussianField, irradiance: float | None
-) -> Problem:
+def _problem(optics: Optics, camera: Poisson, prior: Prior, irradiance: float | None) -> Problem:
     if not isinstance(optics, Identity):
         return Problem(IntensityLikelihood(optics, camera, irradiance), prior)
     if irradiance is not None:
@@ -290,12 +291,12 @@ def _full_exposure(brightest: float, camera: Poisson) -> float:
     return (math.sqrt(half**2 + 1) - half) ** 2 / brightest
 
 
-def _irradiance_of(y: np.ndarray, optics: Optics, prior: GaussianField) -> float:
+def _irradiance_of(y: np.ndarray, optics: Optics, prior: Prior) -> float:
     """The energy of the data over the energy expected of the prior at irradiance 1."""
     total = float(np.sum(y, dtype=float))
     if total <= 0:
         raise ValueError("the recording is dark everywhere: there is nothing to reconstruct from")
-    if isinstance(optics, Fourier):
+    if isinstance(optics, Fourier) and isinstance(prior, GaussianField):
         power = np.asarray(jnp.abs(prior.mean) ** 2 + prior.scale**2, float)
         return total / float(np.sum(power))
     draws = jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 64))
@@ -304,6 +305,22 @@ def _irradiance_of(y: np.ndarray, optics: Optics, prior: GaussianField) -> float
 
 
 # ---- the prior -----------------------------------------------------------------------------------
+
+
+def is_trained(prior: str | None) -> bool:
+    """Whether `prior` names trained weights and not pictures."""
+    return prior is not None and (prior in shipped_names() or prior.endswith(".safetensors"))
+
+
+def _prior(
+    name: str, shape: tuple[int, int], prior: str | None, truth: np.ndarray | None
+) -> tuple[Prior, dict[str, str]]:
+    """The prior that is asked for, and what it was made from, with hashes."""
+    if not is_trained(prior):
+        return _fitted_prior(name, shape, prior, truth)
+    kind = complex if name == PTYCHOGRAPHY else float
+    found = ScorePrior.load(prior, shape, dtype=kind)
+    return found, {Path(prior).name: card_of(prior)["sha256"]}
 
 
 def _fitted_prior(
@@ -385,12 +402,18 @@ def _ula(posterior: Posterior) -> ULA:
 
 _ANNEALED = {"levels": 200, "steps": 5}
 
+
+def _annealed(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
+    # A score network has no density to polish with, and each of its scores is dear.
+    if isinstance(posterior.prior, ScorePrior):
+        return AnnealedLangevin(levels=60, steps=4, path=path)
+    return AnnealedLangevin(**_ANNEALED, path=path, polish=200)
+
+
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
-    "annealed": Sampling(lambda _: AnnealedLangevin(**_ANNEALED, polish=200), 25, 1),
-    "annealed-split": Sampling(
-        lambda _: AnnealedLangevin(**_ANNEALED, path="split", polish=200), 25, 1
-    ),
+    "annealed": Sampling(_annealed, 25, 1),
+    "annealed-split": Sampling(partial(_annealed, path="split"), 25, 1),
     "ula": Sampling(_ula, 500, 10),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),

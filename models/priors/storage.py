@@ -80,6 +80,18 @@ def shipped() -> list[str]:
     return sorted(p.stem for p in FOLDER.glob("*.safetensors"))
 
 
+def shipped_names() -> list[str]:
+    """Their short names, as `ScorePrior.load` takes them."""
+    return sorted({stem.rsplit("-", 2)[0] for stem in shipped()})
+
+
+def card_of(
+    name: str | os.PathLike, kind: str = "score", perturbation: str = "gaussian"
+) -> dict[str, Any]:
+    """The model card of a shipped name or a .safetensors path; raises as `load_denoiser`."""
+    return read_card(_located(name, kind, perturbation))
+
+
 def load_denoiser(
     name: str | os.PathLike, kind: str, perturbation: str, dtype: type | None = None
 ) -> Denoiser:

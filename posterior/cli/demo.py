@@ -31,7 +31,7 @@ EXAMPLES = {
     DENOISING: Example(
         "Denoising: a photograph in dim light",
         "camera",
-        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 25, "warmup": 2000},
+        {"full_well": 100, "bits": 8, "size": 128, "draws": 500, "thin": 16, "warmup": 1500},
         "One recording of at most 100 electrons a pixel, the mean of what it allows and two of the "
         "pictures it allows; the error of the mean and the standard deviation have one colour "
         "scale, so where the scale says that the mean is sure it should also be right.",
@@ -39,7 +39,7 @@ EXAMPLES = {
     PTYCHOGRAPHY: Example(
         "Fourier ptychography: amplitude and phase of a thin specimen",
         "camera",
-        {"full_well": 1000, "bits": 10, "size": 48, "draws": 300, "thin": 30, "warmup": 2000},
+        {"full_well": 1000, "bits": 10, "size": 48, "draws": 400, "thin": 30, "warmup": 2000},
         "From 49 dim recordings, one a LED, a complex object of 48 x 48 pixels: "
         "amplitude above, phase in the middle, and below how sure both are.",
     ),

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..presets import APPLICATIONS, SAMPLERS
+from ..models.priors.storage import shipped_names
+from ..presets import APPLICATIONS, SAMPLERS, is_trained
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
@@ -51,7 +52,7 @@ class Options:
     def resolved(self) -> "Options":
         """With the defaults of problem and sampler filled in; refuses what cannot go together."""
         application = _known("problem", self.problem, APPLICATIONS)
-        name = self.sampler or application.sampler
+        name = self.sampler or ("annealed" if is_trained(self.prior) else application.sampler)
         sampling = _known("sampler", name, SAMPLERS)
         if (self.image is None) == (self.data is None):
             raise ValueError("give either --image (a picture to record) or --data (a recording)")
@@ -64,7 +65,7 @@ class Options:
             self,
             image=_absolute(self.image),
             data=_absolute(self.data),
-            prior=_absolute(self.prior),
+            prior=self.prior if self.prior in shipped_names() else _absolute(self.prior),
             full_well=application.full_well if self.full_well is None else self.full_well,
             bits=(application.bits if simulated else 0) if self.bits is None else self.bits,
             sampler=name,

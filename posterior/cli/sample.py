@@ -24,7 +24,9 @@ def command(
     thin: Annotated[int | None, typer.Option(help="Steps from draw to draw.")] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same draws.")] = 0,
     size: Annotated[int | None, typer.Option(help="Pixels a side of the object.")] = None,
-    prior: Annotated[str | None, typer.Option(help="A picture, or a folder of them.")] = None,
+    prior: Annotated[
+        str | None, typer.Option(help="A picture or a folder of them, or trained weights by name.")
+    ] = None,
     irradiance: Annotated[float | None, typer.Option(help="Signal at a field of 1.")] = None,
     page: Annotated[int | None, typer.Option(help="Of a file of many, from 0.")] = None,
     oversampling: Annotated[int | None, typer.Option(help="Of the far field.")] = None,
