@@ -1,0 +1,62 @@
+"""The MMSE estimate against closed forms, and against the mean of draws."""
+
+import jax
+import numpy as np
+import pytest
+
+import posterior as ps
+from posterior import diagnostics, estimators, models, samplers
+
+
+def denoising(prior, sigma=0.3):
+    likelihood = models.LinearLikelihood(models.Identity(prior.shape), models.Gaussian(sigma))
+    problem = ps.Problem(likelihood, prior)
+    return problem.condition(problem.simulate(jax.random.key(0))[1])
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_a_gaussian_prior_gives_the_wiener_filter(x64, dtype):
+    power = 1 / (0.1 + np.abs(np.fft.fftfreq(16)))
+    post = denoising(models.GaussianField(power, 0.5, dtype=dtype))
+    signal = np.asarray(post.prior.power)
+    spectrum = np.fft.fft(np.asarray(post.y) - 0.5) * signal / (signal + 0.3**2)
+    expected = 0.5 + np.fft.ifft(spectrum)
+    expected = expected if dtype is complex else expected.real
+    np.testing.assert_allclose(estimators.mmse(post), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_draws_average_to_it(x64, dtype):
+    """A prior of two far modes: the mean lies between them, where no draw does."""
+    size = 2 if dtype is complex else 1
+    means = np.array([[0.0] * size, [1.0] * size])
+    covariances = np.broadcast_to(0.05 * np.eye(size), (2, size, size))
+    prior = models.GaussianMixture([0.6, 0.4], means, covariances, (1,), dtype)
+    likelihood = models.LinearLikelihood(models.Identity((1,)), models.Gaussian(0.5))
+    y = np.full(1, 0.6 * (1 + 1j)) if dtype is complex else np.full(1, 0.6)
+    post = ps.Problem(likelihood, prior).condition(y)
+    draws = ps.sample(
+        post, samplers.MALA(), jax.random.key(1), chains=8, draws=4000, thin=10, progress=False
+    ).values
+    for part in (np.real, np.imag) if dtype is complex else (np.real,):
+        values = part(draws)
+        error = float(diagnostics.mcse(values)[0])
+        assert error < 0.02, "too few draws to tell"
+        assert abs(values.mean() - part(estimators.mmse(post)[0])) < 4 * error
+
+
+@pytest.mark.parametrize(
+    "likelihood, sentence",
+    [
+        (
+            models.LinearLikelihood(models.Matrix(np.eye(4)), models.Gaussian(0.1)),
+            "Identity optics",
+        ),
+        (models.LinearLikelihood(models.Identity((4,)), models.Poisson(100)), "Gaussian noise"),
+    ],
+)
+def test_other_problems_are_refused(likelihood, sentence):
+    prior = models.GaussianPrior(np.full(4, 0.5), 0.01, (4,))
+    post = ps.Problem(likelihood, prior).condition(np.full(4, 0.5))
+    with pytest.raises(ValueError, match=sentence):
+        estimators.mmse(post)
