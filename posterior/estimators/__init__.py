@@ -1,4 +1,5 @@
 """Estimators: single answers, to compare with and to start from."""
 
 from .hio import Retrieved, hio
+from .mmse import mmse
 from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior
