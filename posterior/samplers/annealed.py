@@ -58,7 +58,7 @@ class AnnealedLangevin(Sampler):
 
     levels: int = eqx.field(static=True, default=500)
     steps: int = eqx.field(static=True, default=10)
-    step_size: float = 0.3
+    step_size: float = 0.6
     path: str | None = eqx.field(static=True, default=None)
     published: bool = eqx.field(static=True, default=False)
     polish: int = eqx.field(static=True, default=0)
