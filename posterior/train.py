@@ -353,7 +353,14 @@ def _validated(
 
 def _limits(statistics: Statistics, size: int) -> list[str]:
     """What the weights are not good for, for the card."""
+    signal = [
+        "Draws of the prior alone come out far too dark: the network knows the harmonic mean, not "
+        "the mean, and the broadest level is not pure noise.",
+        "Trained on perturbed values of either sign: a sampler that reflects them at zero shows "
+        "it, in dark areas, pictures that are brighter than any it was trained on.",
+    ]
     return [
+        *(signal if statistics.perturbation == "signal" else []),
         f"Levels below {statistics.sigma_min:g} are held at it; above {statistics.sigma_max:g} "
         "the network sees a picture that is fainter than any it was trained on.",
         f"Trained on patches of {size} pixels: it knows no structure much larger than that.",

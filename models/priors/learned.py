@@ -53,37 +53,32 @@ class LearnedPrior(Prior):
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """Score of channels (h, w, c) at a level at or above the finest."""
 
+    @abc.abstractmethod
+    def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """`denoise` for channels (h, w, c) at a level at or above the finest."""
+
     def score(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Gradient of the log-density of the annealed variable, as an object: d/dRe + j d/dIm."""
         channels, sigma = self._prepared(x, sigma)
         return self._to_object_like(self.channel_score(channels, sigma), x)
 
     def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
-        """E[object | annealed x], by Tweedie's formula from the score; `shape`, dtype of `x`.
+        """E[object | annealed x]; `shape`, dtype of `x`.
 
-        For "signal" the harmonic mean 1/E[1/object | x], which the score holds.
+        For "signal" the harmonic mean 1/E[1/object | x], which is what the score holds.
         """
         channels, sigma = self._prepared(x, sigma)
-        score = self.channel_score(channels, sigma)
-        if self.perturbation == "signal":
-            # From score = (1 - x/D)/sigma^2; a value of the wrong sign has no such D.
-            inverse = (1 - sigma**2 * score) / channels
-            clean = 1 / jnp.maximum(inverse, 1e-6)
-            clean = jnp.where(jnp.abs(channels) > 1e-6, clean, self.statistics.lowest)
-        else:
-            clean = channels + self._component_sd(sigma) ** 2 * score
-        return self._to_object_like(clean, x)
+        return self._to_object_like(self.channel_clean(channels, sigma), x)
 
     def sample(self, key: jax.Array) -> jax.Array:
-        """One object from the network alone, `sampling_steps` levels from noise to picture.
+        """One object from the network alone, by `sampling_steps` levels from noise to picture.
 
-        Gaussian error: Heun's rule on the probability-flow equation (Karras et al. 2022), then one
-        denoising step at the finest level. Signal-dependent error: annealed Langevin steps with the
-        metric sigma^2 x, reflected at zero. Both approximate the prior: the network, the finite
-        steps and, at the top, a start that is pure noise. Never below the pictures' least value.
+        Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
+        finest level. An approximation: the network, the finite steps, a start that is pure noise.
+        Never below the pictures' least value. For "signal" no more than a start for a sampler: the
+        harmonic mean stands in for the mean, and draws come out far too dark.
         """
-        draw = _langevin_draw if self.perturbation == "signal" else _flow_draw
-        x = draw(self, key)
+        x = _flow_draw(self, key)
         return x if self.statistics.lowest is None else jnp.maximum(x, self.statistics.lowest)
 
     def _prepared(self, x: jax.Array, sigma: jax.Array | float) -> tuple[jax.Array, jax.Array]:
@@ -142,6 +137,10 @@ class ScorePrior(LearnedPrior):
 
         return cls(load_denoiser(name, "score", perturbation, dtype), shape)
 
+    def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """What the network says."""
+        return self.denoiser(x, sigma)
+
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """Score of channels (h, w, c) at a level at or above the finest."""
         clean = self.denoiser(x, sigma)
@@ -190,6 +189,15 @@ class EnergyPrior(LearnedPrior):
 
         return cls(load_denoiser(name, "energy", perturbation, dtype), shape)
 
+    def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """From the score, by Tweedie's formula."""
+        score = self.channel_score(x, sigma)
+        if self.perturbation == "gaussian":
+            return x + self._component_sd(sigma) ** 2 * score
+        # score = (1 - x/D)/sigma^2; what leaves no D between the least value and 1 is noise.
+        inverse = (1 - sigma**2 * score) / jnp.where(jnp.abs(x) > 1e-6, x, 1e-6)
+        return 1 / jnp.clip(inverse, 1.0, 1 / self.statistics.lowest)
+
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """Minus the gradient of the energy."""
         return -jax.grad(energy, argnums=1)(self.denoiser, x, sigma)
@@ -230,51 +238,28 @@ def suited_shape(shape: tuple[int, ...], denoiser: Denoiser) -> tuple[int, ...]:
 
 
 def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
-    """Heun's rule along dx/ds = -s score, from noise at the broadest level to the finest."""
+    """Heun's rule along dx/dsigma = (x - E[object | x])/sigma, from noise to the finest level.
+
+    x~ = x + sigma (error at sigma = 1) moves at that velocity on average, whatever the error's
+    variance depends on, so the flow has the right distribution at every level.
+    """
     stats = prior.statistics
     # Karras et al.'s spacing: powers of 1/7, dense at the fine levels.
-    ramp = jnp.linspace(
-        stats.sigma_max ** (1 / 7), stats.sigma_min ** (1 / 7), prior.sampling_steps
-    )
-    sigmas = ramp**7
+    ends = stats.sigma_max ** (1 / 7), stats.sigma_min ** (1 / 7)
+    sigmas = jnp.linspace(*ends, prior.sampling_steps) ** 7
     blank = jnp.zeros(prior.shape, prior.dtype)
     mean = stats.mean * (1 + 1j) if prior.complex_valued else stats.mean
-    start = component_sd(sigmas[0], prior.complex_valued) * normal_like(key, blank)
+    noise = prior.denoiser.channel_sd(sigmas[0]) * normal_like(key, blank)
 
     def slope(x: jax.Array, sigma: jax.Array) -> jax.Array:
-        return -component_sd(sigma, prior.complex_valued) * prior.score(x, sigma)
+        return (x - prior.denoise(x, sigma)) / sigma
 
     def advance(x: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         sigma, following = pair
-        step = component_sd(following - sigma, prior.complex_valued)
+        step = following - sigma
         first = slope(x, sigma)
-        second = slope(x + step * first, following)
-        return (x + step * (first + second) / 2).astype(x.dtype), None
+        second = slope(x + (step * first).astype(x.dtype), following)
+        return x + (step * (first + second) / 2).astype(x.dtype), None
 
-    x, _ = jax.lax.scan(advance, (mean + start).astype(blank.dtype), (sigmas[:-1], sigmas[1:]))
-    return prior.denoise(x, sigmas[-1])
-
-
-# Langevin steps a level of the signal-dependent draw, and their size.
-_STEPS, _STEP = 5, 0.15
-
-
-def _langevin_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
-    """Langevin steps with the metric M = sigma^2 x: x + h (M score + dM/dx) + sqrt(2 h M) n."""
-    stats = prior.statistics
-    broadest = min(stats.sigma_max, 1.0)
-    sigmas = jnp.repeat(jnp.geomspace(broadest, stats.sigma_min, prior.sampling_steps), _STEPS)
-    key_start, key_steps = jax.random.split(key)
-    noise = normal_like(key_start, jnp.zeros(prior.shape, prior.dtype))
-    start = jnp.abs(stats.mean + sigmas[0] * stats.mean**0.5 * noise)
-
-    def advance(x: jax.Array, level: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        sigma, key = level
-        metric = sigma**2 * x
-        drift = metric * prior.score(x, sigma) + sigma**2
-        x = x + _STEP * drift + jnp.sqrt(2 * _STEP * metric) * normal_like(key, x)
-        return jnp.abs(x).astype(x.dtype), None
-
-    keys = jax.random.split(key_steps, len(sigmas))
-    x, _ = jax.lax.scan(advance, start, (sigmas, keys))
+    x, _ = jax.lax.scan(advance, (mean + noise).astype(blank.dtype), (sigmas[:-1], sigmas[1:]))
     return prior.denoise(x, sigmas[-1])
