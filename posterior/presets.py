@@ -26,7 +26,7 @@ from .models.priors import GaussianField, Prior, ScorePrior
 from .models.priors.storage import card_of, shipped_names
 from .problem import Posterior, Problem
 from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
-from .sampling import sample
+from .starts import annealed, from_magnitudes, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
 
@@ -403,7 +403,7 @@ def _ula(posterior: Posterior) -> ULA:
 _ANNEALED = {"levels": 200, "steps": 5}
 
 
-def _annealed(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
+def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
     # A score network has no density to polish with, and each of its scores is dear.
     if isinstance(posterior.prior, ScorePrior):
         return AnnealedLangevin(levels=60, steps=4, path=path)
@@ -412,8 +412,8 @@ def _annealed(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin
 
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
-    "annealed": Sampling(_annealed, 25, 1),
-    "annealed-split": Sampling(partial(_annealed, path="split"), 25, 1),
+    "annealed": Sampling(_annealed_sampler, 25, 1),
+    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1),
     "ula": Sampling(_ula, 500, 10),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
@@ -425,12 +425,12 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
-    starts at the end of an annealing run of its own. "split" cannot travel at all.
+    starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
+    several, which start from hybrid input-output. "split" cannot travel at all.
     """
     if isinstance(posterior.likelihood, LinearLikelihood):
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
-    scout = AnnealedLangevin(**_ANNEALED)
-    found = sample(posterior, scout, key, chains=chains, draws=1, warmup=0, progress=False)
-    return found.values[:, 0]
+    search = from_magnitudes if has_magnitudes(posterior.likelihood.optics) else annealed
+    return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains)

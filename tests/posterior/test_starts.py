@@ -1,0 +1,69 @@
+"""Where the chains of the presets start: behind a Fourier transform, from the deepest valleys."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+from skimage import data
+from skimage.transform import resize
+
+from posterior import presets, starts
+from posterior.diagnostics import align
+from posterior.models import Poisson
+from posterior.samplers import AnnealedLangevin
+
+SCOUT = {"levels": 60, "steps": 3}
+
+
+@pytest.fixture(autouse=True)
+def in_a_hurry(monkeypatch):
+    monkeypatch.setattr(presets, "_ANNEALED", SCOUT)
+
+
+def annealed_alone(posterior, key, chains):
+    return starts.annealed(posterior, AnnealedLangevin(**SCOUT), key, chains)
+
+
+def question(name="phase-retrieval", **settings):
+    picture = resize(data.camera() / 255, (24, 24), anti_aliasing=True)
+    camera = Poisson(1_000_000, 16)
+    return presets.simulate(name, picture, camera, jax.random.key(0), **settings)
+
+
+def test_starts_from_magnitudes_are_near_the_object():
+    """Each chain within a few hundred nats of the truth, where annealing alone is thousands off."""
+    asked = question()
+    posterior = asked.problem.condition(asked.y)
+    found = presets.start_of("mala", posterior, jax.random.key(1), 3)
+    assert found.shape == (3, 24, 24)
+    log_prob = functools.partial(starts._log_probs, posterior)
+    alone = annealed_alone(posterior, jax.random.key(1), 3)
+    truth = float(posterior.log_prob(asked.truth.astype(np.float32)))
+    print("nats below the truth:", truth - log_prob(found), "alone:", truth - log_prob(alone))
+    assert log_prob(found).min() > log_prob(alone).max()
+    error = align(found, asked.truth, ["conjugate_flip"]) - asked.truth
+    assert np.sqrt(np.mean(error**2, axis=(1, 2))).max() < 0.1
+
+
+def test_starts_are_turned_to_the_first_and_reproducible():
+    asked = question(size=16)
+    posterior = asked.problem.condition(asked.y)
+    found = presets.start_of("nuts", posterior, jax.random.key(2), 4)
+    np.testing.assert_array_equal(align(found, found[0], ["conjugate_flip"]), found)
+    again = presets.start_of("nuts", posterior, jax.random.key(2), 4)
+    np.testing.assert_array_equal(again, found)
+
+
+def test_magnitudes_that_bound_nothing_are_annealed_alone():
+    """Without oversampling hybrid input-output has nothing to go by."""
+    asked = question(size=16, oversampling=1)
+    posterior = asked.problem.condition(asked.y)
+    found = presets.start_of("mala", posterior, jax.random.key(0), 2)
+    np.testing.assert_array_equal(found, annealed_alone(posterior, jax.random.key(0), 2))
+
+
+def test_samplers_that_need_no_start_get_none():
+    asked = question(size=16)
+    posterior = asked.problem.condition(asked.y)
+    assert presets.start_of("smc", posterior, jax.random.key(0), 2) is None
