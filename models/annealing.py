@@ -19,6 +19,7 @@ Im for complex ones (eq:part_complex); "signal", sqrt(x) e with e ~ N(0, sigma_t
 import jax
 import jax.numpy as jnp
 from jax.scipy.special import i0e, i1e
+from jax.scipy.stats import norm
 
 PATHS = ("split", "convolved")
 
@@ -97,6 +98,17 @@ def counts_score(expected: jax.Array, y: jax.Array, variance: jax.Array) -> jax.
     score tends to that of the true counts and not of their Gaussian approximation.
     """
     return (y - expected) / variance
+
+
+def saturated_score(expected: jax.Array, edge: float, variance: jax.Array) -> jax.Array:
+    """Score of a recording that says only "at least `edge`": d/dx log P(x + noise > edge).
+
+    Gaussian noise of the `variance`, which is taken not to depend on the signal: a good
+    approximation above some ten electrons.
+    """
+    sd = jnp.sqrt(variance)
+    z = (expected - edge) / sd
+    return jnp.exp(norm.logpdf(z) - norm.logcdf(z)) / sd
 
 
 def signal_score(x: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:

@@ -46,6 +46,11 @@ class Camera(eqx.Module):
     read_variance: eqx.AbstractVar[float]
     counting: eqx.AbstractVar[bool]
 
+    @property
+    def saturation(self) -> float:
+        """Signal above which a recording tells only that it was above it; inf if there is none."""
+        return math.inf
+
     @abc.abstractmethod
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """One recording of the expected signal: its shape, its dtype, normalised units.
@@ -238,6 +243,12 @@ class Poisson(_CountingCamera):
     def read_variance(self) -> float:
         return self._adc_variance
 
+    @property
+    def saturation(self) -> float:
+        """Half an electron below the first count of the last code (or below the full well)."""
+        first = self.full_well if self.bits is None else _first_counts(self.full_well, self.bits)[-2]
+        return (float(first) - 0.5) / self.full_well
+
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """One recording, 0 to 1."""
         expected = _intensity(expected)
@@ -328,6 +339,11 @@ class PoissonGaussian(_CountingCamera):
     @property
     def read_variance(self) -> float:
         return (self.read_noise / self.full_well) ** 2 + self._adc_variance
+
+    @property
+    def saturation(self) -> float:
+        """The lower edge of the last code; without an ADC read noise hides where it is: inf."""
+        return math.inf if self.bits is None else 1 - 0.5 / self._top
 
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """One recording; 0 to 1 with bits, a little beyond without."""

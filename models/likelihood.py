@@ -5,6 +5,7 @@ the annealed variable (models/annealing.py), which tends to the exact one as sig
 """
 
 import abc
+import math
 
 import equinox as eqx
 import jax
@@ -146,6 +147,7 @@ class LinearLikelihood(Likelihood):
         "gaussian": H^T (y - Hx)/(noise variance at Hx -+ annealing variance); exact for Gaussian
         noise if H H^H is diagonal, and exact for Poisson counts (without quantisation) at
         sigma = 0. "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only.
+        A saturated pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
@@ -153,7 +155,12 @@ class LinearLikelihood(Likelihood):
         field = self.expected(x)
         noise, gain = self._noise_at(field, jnp.iscomplexobj(x))
         variance = annealing.remaining_variance(noise, gain * sigma**2, path)
-        return self._to_object(annealing.counts_score(field, y, variance), x)
+        score = annealing.counts_score(field, y, variance)
+        if math.isfinite(self.camera.saturation):
+            edge = self.camera.saturation
+            saturated = annealing.saturated_score(field, edge, variance)
+            score = jnp.where(y > edge, saturated, score)
+        return self._to_object(score, x)
 
     def _signal_score(
         self, x: jax.Array, y: jax.Array, sigma: jax.Array | float, path: str
@@ -218,8 +225,9 @@ class IntensityLikelihood(Likelihood):
         every level if H H^H is diagonal, and at sigma = 0 for any H (quantisation apart; read noise
         counts as photon noise of equal variance). "split": the paper's Rician score, in which
         sqrt(y) has the variance sigma_0^2/4 - sigma^2 ||h_i||^2/4 per component; it is up to twice
-        too sure where a few electrons are counted. Where H H^H is not diagonal, both neglect the
-        correlation of the annealing errors.
+        too sure where a few electrons are counted. A saturated pixel counts as "at least
+        this", with Gaussian noise. Where H H^H is not diagonal, the correlation of the annealing
+        errors is neglected.
         `published=True`: eq:complex_final as printed, for complex objects along "split".
         """
         if perturbation != "gaussian":
@@ -236,7 +244,26 @@ class IntensityLikelihood(Likelihood):
         else:
             variance = annealing.remaining_variance(noise, gain * sigma**2, path)
             score = annealing.intensity_score(field, y, variance)
+        score = self._where_saturated(score, field, y, noise, gain * sigma**2, path)
         return self._to_object((score * jnp.sqrt(self.irradiance)).astype(field.dtype), x)
+
+    def _where_saturated(
+        self,
+        score: jax.Array,
+        field: jax.Array,
+        y: jax.Array,
+        noise: jax.Array,
+        error: jax.Array,
+        path: str,
+    ) -> jax.Array:
+        edge = self.camera.saturation
+        if not math.isfinite(edge):
+            return score
+        variance = annealing.remaining_variance(noise, error, path)
+        amplitude = jnp.abs(field)
+        outwards = field / jnp.maximum(amplitude, jnp.finfo(amplitude.dtype).tiny)
+        saturated = annealing.saturated_score(amplitude, math.sqrt(edge), variance)
+        return jnp.where(y > edge, outwards * saturated, score)
 
     def _published_score(
         self, field: jax.Array, x: jax.Array, y: jax.Array, sigma: jax.Array | float, path: str

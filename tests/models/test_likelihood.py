@@ -155,6 +155,21 @@ def test_annealed_score_of_intensities_ends_at_the_exact_score(x64, name):
     np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("camera", [models.Poisson(100), models.Poisson(100, 4)])
+def test_a_saturated_pixel_says_only_that_it_is_bright(x64, camera):
+    """Against the exact tail, in units of 1/sd; a clipped value taken as it is would err by 3."""
+    x, y = jnp.linspace(0.9, 1.5, 7), jnp.ones(7)
+    linear = models.LinearLikelihood(models.Identity((7,)), camera)
+    sd = camera.sigma0 * jnp.sqrt(x)
+    error = (linear.annealed_score(x, y, 1e-6) - linear.score(x, y)) * sd
+    assert jnp.abs(error).max() < 0.08
+    assert jnp.abs(linear.score(x, y)[-1] * sd[-1]) < 1e-3
+    intensity = models.IntensityLikelihood(models.Identity((7,)), camera)
+    field = jnp.sqrt(x) * np.exp(0.3j)
+    error = (intensity.annealed_score(field, y, 1e-6) - intensity.score(field, y)) * sd / 2
+    assert jnp.abs(error).max() < 0.08
+
+
 @pytest.mark.parametrize("x64_object", [0.7 + 0.2j])
 def test_annealed_score_of_a_complex_pixel_is_the_marginal_of_the_model(x64, x64_object):
     """y = |o~ + rest|^2 exactly, rest of variance (sigma_0^2 - sigma_t^2)/4 (eq:relaxed...)."""

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import typer
 from PIL import Image
 from typer.testing import CliRunner
 
 from posterior import train as training
 from posterior import training_report
+from posterior.cli import app
 from posterior.models import priors
 from posterior.models.priors import EnergyPrior, ScorePrior
 from posterior.models.priors.denoiser import Denoiser, Statistics
@@ -202,9 +202,7 @@ def test_trained_network_reproduces_the_analytic_score(kind, capsys):
 @pytest.fixture
 def command(monkeypatch):
     monkeypatch.delenv("POSTERIOR_DATA", raising=False)
-    app = typer.Typer()
-    app.command("train")(training.train_command)
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    return lambda *arguments: CliRunner().invoke(app, ["train", *(str(a) for a in arguments)])
 
 
 @pytest.fixture

@@ -1,0 +1,220 @@
+"""`posterior train`: a prior from a folder of pictures."""
+
+import dataclasses
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax
+import numpy as np
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ..models.priors.denoiser import Denoiser, Statistics
+from ..models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
+from ..models.priors.perturbation import check_perturbation
+from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
+from ..models.priors.training import Recipe
+from ..train import (
+    OBJECTS,
+    Preparation,
+    normalisation,
+    picture_files,
+    prepare,
+    split_names,
+    statistics_of,
+    train,
+)
+from ..training_report import PATCHES, central_patches, denoising, write_report
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="NAME.safetensors, beside it its card and report.")],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of pictures; may be one inside POSTERIOR_DATA.")
+    ] = None,
+    perturbation: Annotated[str, typer.Option(help="gaussian, or signal.")] = "gaussian",
+    kind: Annotated[str, typer.Option(help="score, or energy.")] = "score",
+    objects: Annotated[str, typer.Option(help=f"One of {', '.join(OBJECTS)}.")] = "grey",
+    percentile: Annotated[
+        float | None, typer.Option(help="Divide each picture by this percentile, clip at 1.")
+    ] = None,
+    floor: Annotated[float, typer.Option(help="Least value of a picture, for signal.")] = 0.01,
+    size: Annotated[int, typer.Option(help="Pixels a side of a training patch.")] = 48,
+    steps: Annotated[int, typer.Option(help="Steps of Adam.")] = 5000,
+    batch: Annotated[int, typer.Option(help="Patches a step.")] = 16,
+    rate: Annotated[float, typer.Option(help="Learning rate at its highest.")] = 2e-3,
+    network: Annotated[str, typer.Option(help="unet, or ncsnv2.")] = "unet",
+    widths: Annotated[str, typer.Option(help="Channels of each level.")] = "32,64,96",
+    blocks: Annotated[int, typer.Option(help="Residual blocks a level.")] = 1,
+    validation: Annotated[int, typer.Option(help="Pictures held out to watch.")] = 32,
+    test: Annotated[int, typer.Option(help="Pictures held out and not looked at.")] = 0,
+    group: Annotated[str, typer.Option(help="Pattern: names that match alike stay together.")] = (
+        ".*"
+    ),
+    init: Annotated[str | None, typer.Option(help="Weights to start from (.safetensors).")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same weights.")] = 0,
+    source: Annotated[str, typer.Option(help="Of the pictures, for the card.")] = "not stated",
+    licence: Annotated[str, typer.Option(help="Of the pictures, for the card.")] = "not stated",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Train a prior on a folder of pictures; the same command goes on where it was stopped."""
+    command = _command(locals())
+    check_perturbation(perturbation, objects == "complex")
+    how = Preparation(
+        objects, percentile, floor if perturbation == "signal" else 0.0, group, validation, test
+    )
+    recipe = Recipe(kind, steps, batch, size, rate, seed=seed)
+    folder = _data_folder(data)
+    files = {p.name: p for p in picture_files(folder)}
+    split = split_names(list(files), validation, test, group)
+    loaded = [prepare(files[name], how) for name in split.train]
+    pictures = [p for p in loaded if min(p.shape[:2]) >= size]
+    if not pictures:
+        raise ValueError(f"no picture in {folder} has {size} pixels a side: give a smaller --size")
+    statistics = statistics_of(pictures, perturbation, how)
+    description = _description(network, OBJECTS[objects], _widths(widths), blocks)
+    built = build_network(description, jax.random.key(seed))
+    if init is not None:
+        built = _initial(init, built)
+    denoiser, losses, seconds = _with_progress(
+        Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
+    )
+    prior, table = _validated(denoiser, kind, [prepare(files[n], how) for n in split.validation])
+    card = {
+        "name": _stem(out).name,
+        "kind": kind,
+        "network": description,
+        "data": {
+            "folder": folder.name,
+            "source": source,
+            "licence": licence,
+            "pictures": {part: len(getattr(split, part)) for part in split._fields},
+            "validation": split.validation,
+            "test": split.test,
+        },
+        "normalisation": normalisation(how),
+        "preparation": dataclasses.asdict(how),
+        "training": {
+            "command": command,
+            "recipe": dataclasses.asdict(recipe),
+            "seconds": round(seconds),
+            "patches_per_second": round(recipe.steps * recipe.batch / max(seconds, 1e-9), 1),
+            "device": _device(),
+            "final_loss": round(float(np.mean(losses[-max(1, steps // 20) :])), 4),
+        },
+        "validation": {"denoising_psnr_db": table, "patches": PATCHES},
+        "limits": _limits(statistics, size),
+    }
+    save_weights(f"{_stem(out)}.safetensors", denoiser, card)
+    write_report(Path(f"{_stem(out)}.training"), prior, losses, table, seed)
+
+
+def _validated(
+    denoiser: Denoiser, kind: str, pictures: list[np.ndarray]
+) -> tuple[LearnedPrior, dict[str, dict[str, float | None]]]:
+    """The prior for patches, and how it denoises pictures that it was not trained on."""
+    patches = central_patches(pictures, denoiser.network.stride)
+    colour = denoiser.network.channels == 3
+    shape = patches.shape[1:] if colour else patches.shape[1:3]
+    prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
+    return prior, denoising(prior, patches)
+
+
+def _limits(statistics: Statistics, size: int) -> list[str]:
+    """What the weights are not good for, for the card."""
+    signal = [
+        "Draws of the prior alone come out far too dark: the network knows the harmonic mean, not "
+        "the mean, and the broadest level is not pure noise.",
+        "Trained on perturbed values of either sign: a sampler that reflects them at zero shows "
+        "it, in dark areas, pictures that are brighter than any it was trained on.",
+    ]
+    return [
+        *(signal if statistics.perturbation == "signal" else []),
+        f"Levels below {statistics.sigma_min:g} are held at it; above {statistics.sigma_max:g} "
+        "the network sees a picture that is fainter than any it was trained on.",
+        f"Trained on patches of {size} pixels: it knows no structure much larger than that.",
+        "Pictures in other units, of other things or from other optics are outside the prior.",
+    ]
+
+
+def _stem(out: Path) -> Path:
+    return out.with_suffix("") if out.suffix == ".safetensors" else out
+
+
+def _data_folder(data: Path | None) -> Path:
+    """--data itself, or the folder of that name in the one that POSTERIOR_DATA names."""
+    home = os.environ.get("POSTERIOR_DATA")
+    if data is None and home is None:
+        raise ValueError("no pictures: give a folder with --data, or set POSTERIOR_DATA")
+    if data is None:
+        return Path(home)
+    return Path(home) / data if home and not data.exists() else data
+
+
+def _widths(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"widths {text!r}: give whole numbers, as in 32,64,96") from None
+
+
+def _description(network: str, channels: int, widths: list[int], blocks: int) -> dict[str, Any]:
+    """The network's entry in the card; NCSNv2 has one width, which it doubles itself."""
+    sizes = {"width": widths[0]} if network == "ncsnv2" else {"widths": widths}
+    return {"type": network, "channels": channels, **sizes, "blocks": blocks}
+
+
+def _initial(path: str, fresh: eqx.Module) -> eqx.Module:
+    """The network of earlier weights, which must have the shapes of the one asked for."""
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no file {path}: give the path of a .safetensors file")
+    card = read_card(Path(path))
+    earlier = load_denoiser(path, card["kind"], card["statistics"]["perturbation"]).network
+    shapes = [
+        jax.tree.map(lambda a: a.shape, eqx.filter(n, eqx.is_array)) for n in (fresh, earlier)
+    ]
+    if jax.tree.leaves(shapes[0]) != jax.tree.leaves(shapes[1]):
+        raise ValueError(f"{path} holds another network: give the --widths it was built with")
+    return earlier
+
+
+def _with_progress(
+    denoiser: Denoiser, pictures: list[np.ndarray], recipe: Recipe, checkpoint: Path, quiet: bool
+) -> tuple[Denoiser, np.ndarray, float]:
+    columns = (
+        TextColumn("training"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("loss {task.fields[loss]:.4f}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, disable=quiet, refresh_per_second=2) as bar:
+        task = bar.add_task("training", total=recipe.steps, loss=float("nan"))
+        return train(
+            denoiser,
+            pictures,
+            recipe,
+            checkpoint,
+            lambda done, loss: bar.update(task, completed=done, loss=loss),
+        )
+
+
+def _command(options: dict[str, Any]) -> str:
+    """The command line that gives these options, without paths of one computer."""
+    parts = ["posterior", "train"]
+    for name, value in options.items():
+        if value is None or name == "quiet":
+            continue
+        value = Path(value).name if name in ("data", "out", "init") else value
+        parts += [f"--{name}", shlex.quote(str(value))]
+    return " ".join(parts)
+
+
+def _device() -> str:
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return f"CPU, {os.cpu_count()} cores, jax {jax.__version__}"
+    return f"{device.device_kind}, jax {jax.__version__}"
