@@ -12,7 +12,7 @@ from .samplers import AnnealedLangevin
 from .sampling import sample
 
 # Candidates of each chain, those of them that have heirs, and how often they are chosen anew.
-_CANDIDATES, _PARENTS, _GENERATIONS = 8, 2, 3
+_CANDIDATES, _PARENTS, _GENERATIONS = 16, 2, 3
 _TRIES = 4  # random phases a candidate
 _HIO_ITERATIONS = 500
 
