@@ -131,20 +131,22 @@ class Posterior(eqx.Module):
     def annealing_range(self, path: str) -> tuple[jax.Array, jax.Array]:
         """Broadest and finest annealing level: from the prior's scale, or the noise, to 1 % of it.
 
-        The finest is 1 % of the level at which the annealing error equals the measurement noise;
-        "split" starts just under that level, "convolved" at the prior's own scale.
+        The finest is 1 % of the level at which the annealing error equals the measurement noise, or
+        the finest that a learned prior knows; "split" starts just under the noise, "convolved" at
+        the prior's own scale.
         """
         if self.prior.perturbation == "signal":
             noise_level = jnp.asarray(self.likelihood.camera.sigma0)
         else:
             noise, gain = self.likelihood.noise(self._complex, self.y)
             noise_level = jnp.sqrt(jnp.min(noise / gain))
+        finest = jnp.maximum(0.01 * noise_level, self.prior.finest)
         if path == "split":
-            return 0.99 * noise_level, 0.01 * noise_level
+            return 0.99 * noise_level, finest
         scale = self.prior.scale * (2 if self._complex else 1)
         if self.prior.perturbation == "signal":
             scale = scale / jnp.sqrt(jnp.mean(self.y))
-        return jnp.maximum(scale, noise_level), 0.01 * noise_level
+        return jnp.maximum(scale, noise_level), finest
 
     def annealing_variance(self, sigma: jax.Array | float, path: str) -> jax.Array:
         """The smaller of the level's variance and the likelihood's own, harmonically joined.

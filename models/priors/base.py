@@ -35,6 +35,11 @@ class Prior(eqx.Module):
     def scale(self) -> jax.Array:
         """Root mean square, per real component, of the object about its mean."""
 
+    @property
+    def finest(self) -> float:
+        """Annealing level below which the score does not change: 0 unless it was learnt."""
+        return 0.0
+
     @abc.abstractmethod
     def sample(self, key: jax.Array) -> jax.Array:
         """One object: `shape`, `dtype`."""

@@ -49,6 +49,11 @@ class LearnedPrior(Prior):
         """Standard deviation of a channel value over the training pictures."""
         return jnp.asarray(self.statistics.sd)
 
+    @property
+    def finest(self) -> float:
+        """The finest trained level."""
+        return self.statistics.sigma_min
+
     @abc.abstractmethod
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """Score of channels (h, w, c) at a level at or above the finest."""
