@@ -246,8 +246,9 @@ class Poisson(_CountingCamera):
     @property
     def saturation(self) -> float:
         """Half an electron below the first count of the last code (or below the full well)."""
-        first = self.full_well if self.bits is None else _first_counts(self.full_well, self.bits)[-2]
-        return (float(first) - 0.5) / self.full_well
+        if self.bits is None:
+            return 1 - 0.5 / self.full_well
+        return (float(_first_counts(self.full_well, self.bits)[-2]) - 0.5) / self.full_well
 
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """One recording, 0 to 1."""
