@@ -39,7 +39,7 @@ EXAMPLES = {
     PTYCHOGRAPHY: Example(
         "Fourier ptychography: amplitude and phase of a thin specimen",
         "camera",
-        {"full_well": 1000, "bits": 10, "size": 48, "draws": 400, "thin": 30, "warmup": 2000},
+        {"full_well": 1000, "bits": 10, "size": 48, "draws": 400, "thin": 40, "warmup": 2000},
         "From 49 dim recordings, one a LED, a complex object of 48 x 48 pixels: "
         "amplitude above, phase in the middle, and below how sure both are.",
     ),
