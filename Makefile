@@ -11,7 +11,7 @@ demo: .venv/installed
 
 # Tests compile much and run little: a lighter compiler makes them a third shorter.
 test: .venv/installed-test
-	XLA_FLAGS=--xla_backend_optimization_level=1 $(BIN)/python -m pytest -n 2 -m "not slow"
+	XLA_FLAGS=--xla_backend_optimization_level=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 study: .venv/installed-test
 	$(BIN)/python -m pytest -m slow --durations=0

@@ -59,7 +59,7 @@ def test_a_temperature_10_percent_wrong_fails(x64):
     [
         (samplers.MALA(), {"draws": 5000, "thin": 40}),
         (samplers.BlackJAX(blackjax.nuts), {"draws": 5000}),
-        (samplers.TemperedSMC(moves=20), {"draws": 2500, "chains": 8}),
+        (samplers.TemperedSMC(moves=20), {"draws": 1000, "chains": 8}),
     ],
     ids=["mala", "nuts", "smc"],
 )
@@ -141,7 +141,7 @@ def test_a_noise_level_10_percent_wrong_fails_the_conjugate_posterior(x64):
         check_gamma(draw(post, PIXELWISE, draws=2000, thin=10), concentration, rate)
 
 
-@pytest.mark.parametrize("path", ["convolved", "split"])
+@pytest.mark.parametrize("path", [pytest.param("convolved", marks=pytest.mark.slow), "split"])
 def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
     """The paper's relaxation of real images (eq:gradient_poisson), on the conjugate posterior.
 

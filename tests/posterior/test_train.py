@@ -1,6 +1,7 @@
 """Training: what it learns, that it goes on bit for bit, and what it refuses."""
 
 import json
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from posterior import train as training
 from posterior import training_report
 from posterior.cli import app
+from posterior.cli.train import _data_folder
 from posterior.models import priors
 from posterior.models.priors import EnergyPrior, ScorePrior
 from posterior.models.priors.denoiser import Denoiser, Statistics
@@ -249,8 +251,8 @@ def test_report_measures_against_block_matching(perturbation):
 
 def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monkeypatch):
     monkeypatch.setenv("POSTERIOR_DATA", str(tmp_path))
-    assert training._data_folder(training.Path("pictures")) == folder
-    assert training._data_folder(None) == tmp_path
+    assert _data_folder(Path("pictures")) == folder
+    assert _data_folder(None) == tmp_path
 
 
 @pytest.mark.parametrize(
