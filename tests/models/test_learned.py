@@ -171,6 +171,7 @@ def test_score_that_is_no_gradient_is_refused_with_its_figure(x64):
         require_gradient(prior, jax.random.key(1), 0.2, 1e-9, start=jnp.full((4, 4), 0.3))
 
 
+@pytest.mark.slow
 def test_signal_draws_are_positive_and_finite():
     prior = ScorePrior(network_denoiser("float32", "signal"), (4, 4), sampling_steps=10)
     draw = prior.sample(jax.random.key(0))

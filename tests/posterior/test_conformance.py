@@ -50,8 +50,12 @@ KINDS = [
 ]
 
 
+# "split" is another setting of a sampler that is here already: the study runs it.
+NAMES = [n if n != "annealed, split" else pytest.param(n, marks=pytest.mark.slow) for n in SAMPLERS]
+
+
 @pytest.mark.parametrize("precision, dtype", KINDS, indirect=["precision"])
-@pytest.mark.parametrize("name", SAMPLERS)
+@pytest.mark.parametrize("name", NAMES)
 def test_conformance(precision, tmp_path, name, dtype):
     post, sampler = posterior_of(dtype), SAMPLERS[name]
     draws = run(post, sampler)

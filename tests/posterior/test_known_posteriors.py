@@ -141,7 +141,8 @@ def test_a_noise_level_10_percent_wrong_fails_the_conjugate_posterior(x64):
         check_gamma(draw(post, PIXELWISE, draws=2000, thin=10), concentration, rate)
 
 
-@pytest.mark.parametrize("path", [pytest.param("convolved", marks=pytest.mark.slow), "split"])
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ["convolved", "split"])
 def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
     """The paper's relaxation of real images (eq:gradient_poisson), on the conjugate posterior.
 
@@ -157,7 +158,9 @@ def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
     assert values.min() > 0
 
 
-@pytest.mark.parametrize("preconditioner", ["fourier", "auto"])
+@pytest.mark.parametrize(
+    "preconditioner", ["fourier", pytest.param("auto", marks=pytest.mark.slow)]
+)
 def test_mala_draws_the_wiener_posterior_of_a_field(preconditioner):
     """GaussianField and Gaussian noise at 64x64, in float32, against the exact Wiener posterior."""
     rows, columns = np.meshgrid(np.fft.fftfreq(64), np.fft.fftfreq(64), indexing="ij")

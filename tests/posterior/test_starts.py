@@ -46,6 +46,7 @@ def test_starts_from_magnitudes_are_near_the_object():
     assert np.sqrt(np.mean(error**2, axis=(1, 2))).max() < 0.1
 
 
+@pytest.mark.slow
 def test_starts_are_turned_to_the_first_and_reproducible():
     asked = question(size=16)
     posterior = asked.problem.condition(asked.y)

@@ -75,6 +75,7 @@ def test_ptychography_without_noise_is_exact(x64):
     np.testing.assert_allclose(np.fft.fft2(aligned) * band, np.fft.fft2(o), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_gradient_vanishes_where_it_ends(x64):
     """On the exact likelihood of 6-bit counts, with a prior."""
     o, likelihood = microscope(models.Poisson(400, bits=6))
