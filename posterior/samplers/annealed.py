@@ -6,17 +6,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..models.realview import normal_like
 from ..problem import Posterior
 from .adaptation import AdaptationState, MetropolisAdaptation
-from .base import Adaptation, Sampler, State, langevin_step, noised, vmap_step
+from .base import Adaptation, Sampler, State, noised, vmap_step
 from .mala import MALA, MALAState
 from .metric import Metric
 
 
 class AnnealedState(NamedTuple):
-    """Everything a step needs; `index` counts steps within the current draw."""
+    """Everything a step needs; `index` counts steps within the current draw.
+
+    `noise` is the standard normal noise of the last step, half of which the next one takes again.
+    """
 
     position: jax.Array
+    noise: jax.Array
     origin: jax.Array | None
     polish: MALAState | None
     index: jax.Array
@@ -41,6 +46,10 @@ class AnnealedLangevin(Sampler):
     alpha_t = step_size * v_t, with v_t the level's variance held under the likelihood's own:
     1/v_t = 1/s_t^2 + curvature (`Posterior.annealing_variance`); where the level is the smaller it
     is the paper's alpha_t = eps sigma_t^2/sigma_T^2.
+
+    The noise of a step is the mean of two, one of them shared with the step before (Leimkuhler and
+    Matthews 2013): plain Langevin steps leave a Gaussian of variance v with v/(1 - alpha/(2 v)),
+    these leave it with v, whatever the step. `published=True` takes the plain ones.
 
     `path`: "convolved" (the default) anneals from the prior's scale down and needs no start;
     "split" is the paper's, from just under the measurement noise, and cannot travel: give
@@ -99,6 +108,7 @@ class AnnealedLangevin(Sampler):
         polish = MALA().init(key, posterior, start) if self.polish else None
         return AnnealedState(
             position=start,
+            noise=jnp.zeros_like(start),
             origin=position,
             # The posterior, step size and metric of the polish are the shared fields below.
             polish=polish and _without_shared(polish),
@@ -137,25 +147,30 @@ class AnnealedLangevin(Sampler):
         self, key: jax.Array, state: AnnealedState
     ) -> tuple[AnnealedState, AnnealedInfo]:
         key_start, key_step = jax.random.split(key)
-        x = jax.lax.cond(
-            state.index == 0, lambda: self._restart(key_start, state), lambda: state.position
+        x, noise = jax.lax.cond(
+            state.index == 0,
+            lambda: self._restart(key_start, state),
+            lambda: (state.position, state.noise),
         )
         sigma = state.sigmas[jnp.minimum(state.index // self.steps, self.levels - 1)]
         posterior = state.posterior
         score = posterior.annealed_score(x, sigma, self.path, self.published)
         step = self.step_size * posterior.annealing_variance(sigma, self.path)
-        x = langevin_step(key_step, x, score, step)
+        fresh = normal_like(key_step, x)
+        shaken = fresh if self.published else (noise + fresh) / 2
+        x = x + (step * score + jnp.sqrt(2 * step) * shaken).astype(x.dtype)
         if posterior.positive:
-            x = jnp.abs(x)
+            x, fresh = jnp.abs(x), jnp.where(x < 0, -fresh, fresh)
         info = AnnealedInfo(sigma, jnp.linalg.norm(score), jnp.full((), jnp.nan, sigma.dtype))
-        return state._replace(position=x), info
+        return state._replace(position=x, noise=fresh), info
 
-    def _restart(self, key: jax.Array, state: AnnealedState) -> jax.Array:
-        key_start, key_noise = jax.random.split(key)
+    def _restart(self, key: jax.Array, state: AnnealedState) -> tuple[jax.Array, jax.Array]:
+        key_start, key_error, key_noise = jax.random.split(key, 3)
         start = state.posterior.start(key_start) if state.origin is None else state.origin
+        noise = normal_like(key_noise, start)
         if state.posterior.positive:
-            return start
-        return noised(key_noise, start, state.sigmas[0])
+            return start, noise
+        return noised(key_error, start, state.sigmas[0]), noise
 
     def _polish_step(
         self, key: jax.Array, state: AnnealedState
