@@ -14,7 +14,7 @@ test: .venv/installed-test
 	XLA_FLAGS=--xla_backend_optimization_level=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 study: .venv/installed-test
-	$(BIN)/python -m pytest -m slow --durations=0
+	$(BIN)/python -m pytest -m slow --durations=0 -s
 
 bench: .venv/installed-test
 	$(BIN)/python tests/benchmarks/run.py

@@ -10,20 +10,21 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import blackjax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from skimage import data as shipped
+from skimage import data as pictures
 
 from .images import fit_to, read_picture, to_grey, to_unit_range
+from .models.annealing import component_sd
 from .models.camera import Poisson
 from .models.likelihood import IntensityLikelihood, LinearLikelihood
 from .models.optics import Fourier, FourierPtychography, Identity, Optics
-from .models.priors import GaussianField, Prior, ScorePrior
-from .models.priors.storage import card_of, shipped_names
+from .models.priors import EnergyPrior, GaussianField, Prior, ScorePrior
+from .models.priors.storage import card_of, shipped, shipped_names
 from .problem import Posterior, Problem
 from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
 from .starts import annealed, from_magnitudes, has_magnitudes
@@ -87,19 +88,21 @@ def simulate(
     prior: str | None = None,
     irradiance: float | None = None,
     oversampling: int | None = None,
+    density: bool = False,
 ) -> Question:
     """Record the object in `picture` with a simulated camera.
 
     `picture` is an array as `read_picture` gives it; for ptychography a complex one is the object
     itself, and a grey one becomes one by `complex_object`. `size` None: the application's own, or
     the picture's if that is smaller. `prior`: a picture or a folder of them, None for those of
-    scikit-image; or the name of trained weights ("nuclei"), or a .safetensors file. `irradiance`
-    None: the brightest expected pixel just meets the full well, with four standard deviations of
-    its photon noise to spare. Raises ValueError on what does not fit.
+    scikit-image; or the name of trained weights ("nuclei"), or a .safetensors file; `density`: take
+    the named weights of an energy, for samplers that need one. `irradiance` None: the brightest
+    expected pixel just meets the full well, with four standard deviations of its photon noise to
+    spare. Raises ValueError on what does not fit.
     """
     truth = _object(name, picture, size)
     optics = _optics(name, truth.shape, oversampling)
-    known, names = _prior(name, truth.shape, prior, truth)
+    known, names = _prior(name, truth.shape, prior, truth, density)
     x = jnp.asarray(truth, known.dtype)
     if irradiance is None and name != DENOISING:
         irradiance = _full_exposure(float(jnp.max(jnp.abs(optics(x)) ** 2)), camera)
@@ -117,6 +120,7 @@ def record(
     prior: str | None = None,
     irradiance: float | None = None,
     oversampling: int | None = None,
+    density: bool = False,
 ) -> Question:
     """Take a recording: integer codes of the ADC, or floats in electrons / full well.
 
@@ -128,7 +132,7 @@ def record(
     y = _normalised(data, camera)
     optics = _optics(name, _object_shape(name, y, size, oversampling), oversampling)
     camera.check(y)
-    known, names = _prior(name, optics.in_shape, prior, None)
+    known, names = _prior(name, optics.in_shape, prior, None, density)
     if irradiance is None and name != DENOISING:
         irradiance = _irradiance_of(y, optics, known)
     return Question(_problem(optics, camera, known, irradiance), y, None, irradiance, names)
@@ -313,14 +317,33 @@ def is_trained(prior: str | None) -> bool:
 
 
 def _prior(
-    name: str, shape: tuple[int, int], prior: str | None, truth: np.ndarray | None
+    name: str,
+    shape: tuple[int, int],
+    prior: str | None,
+    truth: np.ndarray | None,
+    density: bool,
 ) -> tuple[Prior, dict[str, str]]:
     """The prior that is asked for, and what it was made from, with hashes."""
     if not is_trained(prior):
         return _fitted_prior(name, shape, prior, truth)
-    kind = complex if name == PTYCHOGRAPHY else float
-    found = ScorePrior.load(prior, shape, dtype=kind)
-    return found, {Path(prior).name: card_of(prior)["sha256"]}
+    card = weights_card(prior, density)
+    kind = EnergyPrior if card["kind"] == "energy" else ScorePrior
+    found = kind.load(prior, shape, dtype=complex if name == PTYCHOGRAPHY else float)
+    return found, {Path(prior).name: card["sha256"]}
+
+
+def weights_card(prior: str, density: bool) -> dict[str, Any]:
+    """The model card of trained weights; refuses a score where a density is needed."""
+    named = prior in shipped_names()
+    if not density or f"{prior}-gaussian-energy" in shipped():
+        return card_of(prior, "energy" if density else "score")
+    if named or card_of(prior)["kind"] != "energy":
+        scores = [name for name, sampling in SAMPLERS.items() if not sampling.density]
+        raise ValueError(
+            f"{Path(prior).name} is a score without a density: use --sampler "
+            f"{' or '.join(scores)}, or weights trained with --kind energy"
+        )
+    return card_of(prior)
 
 
 def _fitted_prior(
@@ -342,7 +365,7 @@ def _fitted_prior(
 
 
 def _shipped_pictures() -> dict[str, np.ndarray]:
-    return {name: getattr(shipped, name)() for name in PRIOR_PICTURES}
+    return {name: getattr(pictures, name)() for name in PRIOR_PICTURES}
 
 
 def _pictures_at(path: str) -> dict[str, np.ndarray]:
@@ -386,18 +409,29 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 class Sampling(NamedTuple):
-    """How a named sampler is built for a posterior, and how much it draws if nothing is said."""
+    """How a named sampler is built for a posterior, and how much it draws if nothing is said.
+
+    `density`: it needs that of the prior, and not the score alone.
+    """
 
     build: Callable[[Posterior], Sampler]
     draws: int
     thin: int
+    density: bool = True
 
 
 def _ula(posterior: Posterior) -> ULA:
     # A fifth of the stiffest variance: the step's own bias is then 10 % of it at most.
     complex_object = jnp.issubdtype(posterior.dtype, jnp.complexfloating)
     data = posterior.likelihood.curvature(complex_object, posterior.y, 0.0, "convolved")
-    return ULA(step_size=0.2 / float(jnp.max(data) + jnp.max(1 / posterior.prior.power)))
+    return ULA(step_size=0.2 / float(jnp.max(data) + _stiffest(posterior.prior)))
+
+
+def _stiffest(prior: Prior) -> jax.Array | float:
+    """Largest curvature of the log-density, which a learned prior's finest level bounds."""
+    if isinstance(prior, GaussianField):
+        return jnp.max(1 / prior.power)
+    return 1 / component_sd(prior.finest, prior.complex_valued) ** 2
 
 
 _ANNEALED = {"levels": 200, "steps": 5}
@@ -412,9 +446,9 @@ def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> Annealed
 
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
-    "annealed": Sampling(_annealed_sampler, 25, 1),
-    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1),
-    "ula": Sampling(_ula, 500, 10),
+    "annealed": Sampling(_annealed_sampler, 25, 1, density=False),
+    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, density=False),
+    "ula": Sampling(_ula, 500, 10, density=False),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
     "ensemble": Sampling(lambda _: Ensemble(), 4000, 1),

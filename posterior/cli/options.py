@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.priors.storage import shipped_names
-from ..presets import APPLICATIONS, SAMPLERS, is_trained
+from ..presets import APPLICATIONS, SAMPLERS, is_trained, weights_card
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
@@ -60,6 +60,8 @@ class Options:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():
             _check_range(option, getattr(self, option), least, most)
+        if is_trained(self.prior):
+            weights_card(self.prior, sampling.density)
         simulated = self.image is not None
         return dataclasses.replace(
             self,

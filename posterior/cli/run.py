@@ -86,7 +86,7 @@ def _question(options: Options, key: jax.Array) -> Question:
     picture = read_picture(options.image or options.data, options.page)
     given = {
         name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
-    }
+    } | {"density": SAMPLERS[options.sampler].density}
     if options.data is not None:
         return presets.record(options.problem, picture, camera, **given)
     return presets.simulate(options.problem, picture, camera, key, **given)

@@ -160,7 +160,7 @@ def _typical(metric: Metric) -> jax.Array:
 
 
 def _window_ends(warmup: int) -> np.ndarray:
-    """Where the metric is renewed: windows that double, after a tenth and before a fifth."""
+    """Where the metric is renewed: windows that double, none in the last fifth."""
     ends = np.zeros(max(warmup, 1), dtype=bool)
     begin, last = 0, warmup - warmup // 5
     width = max(10, warmup // 100)

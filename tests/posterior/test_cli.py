@@ -13,9 +13,11 @@ from PIL import Image
 import posterior as ps
 from posterior import cli, models, presets
 from posterior.images import read_picture
+from posterior.models.priors.storage import FOLDER
 
 RNG = np.random.default_rng(1)
 SMALL = ["--draws", "6", "--warmup", "12", "--thin", "1", "--quiet"]
+NUCLEI = str(FOLDER / "nuclei-gaussian-score.safetensors")
 FILES = {"draws.nc", "figure.png", "settings.json"}
 REAL = FILES | {"mean.tif", "sd.tif"}
 COMPLEX = FILES | {f"{a}_{b}.tif" for a in ("mean", "sd") for b in ("amplitude", "phase")}
@@ -259,6 +261,17 @@ def test_the_aperture_grid_fits_and_overlaps(size):
     assert overlap == pytest.approx(0.6, abs=0.01)
 
 
+@pytest.mark.parametrize("density, kind", [(False, models.ScorePrior), (True, models.EnergyPrior)])
+def test_named_weights_are_an_energy_where_a_density_is_needed(density, kind):
+    picture = (255 * _smooth(24)).astype(np.uint8)
+    camera, key = models.Poisson(100), jax.random.key(0)
+    settings = {"size": 16, "prior": "nuclei", "density": density}
+    question = presets.simulate("denoising", picture, camera, key, **settings)
+    assert isinstance(question.problem.prior, kind)
+    sampler = "nuts" if density else "ula"
+    presets.SAMPLERS[sampler].build(question.problem.condition(question.y))
+
+
 # ---- refusals ------------------------------------------------------------------------------------
 
 
@@ -300,6 +313,10 @@ def _refused(capsys, *arguments, problem="denoising"):
         (["--image", "{}/picture.png", "--prior", "{}/nowhere"], "nowhere: give the path"),
         (["--image", "{}/picture.png", "--prior", "{}/empty"], "holds no pictures"),
         (["--image", "{}/picture.png", "--prior", "{}/picture.png"], "give a prior of others"),
+        (
+            ["--image", "{}/picture.png", "--prior", NUCLEI] + ["--sampler", "mala"],
+            "a score without a density: use --sampler annealed",
+        ),
         (["--image", "{}/picture.png", "--sampler", "ensemble"], "use samplers.MALA"),
         (["--image", "{}/truncated.png"], "damaged or truncated"),
         (["--image", "{}/nan.npy"], "holds NaN or infinity in 1 places"),

@@ -83,9 +83,9 @@ def test_the_gradient_vanishes_where_it_ends(x64):
     prior = models.GaussianPrior(np.zeros(512), 0.5, (16, 16), complex)
     posterior = ps.Problem(likelihood, prior).condition(y)
     start = default_start(likelihood, y)
-    found = maximum_posterior(posterior, iterations=3000, tolerance=1e-6)
+    found = maximum_posterior(posterior, iterations=3000, tolerance=1e-8)
     steepness = [np.linalg.norm(posterior.score(x)) for x in (start, found.object)]
-    assert steepness[1] < 1e-6 * steepness[0]
+    assert steepness[1] < 1e-8 * steepness[0]
     np.testing.assert_allclose(found.gradient, steepness[1] / steepness[0], rtol=1e-6)
     assert found.log_prob > posterior.log_prob(o)
     assert 10 < found.iterations < 3000
