@@ -144,9 +144,10 @@ class LinearLikelihood(Likelihood):
     ) -> jax.Array:
         """Score of log p(y | x~ = x) at annealing level `sigma`; shaped as the object.
 
-        "gaussian": H^T (y - Hx)/(noise variance at Hx -+ annealing variance); exact for Gaussian
-        noise if H H^H is diagonal, and exact for Poisson counts (without quantisation) at
-        sigma = 0. "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only.
+        "gaussian": H^T applied to the score of each measurement: (y - Hx)/(noise variance at Hx -+
+        annealing variance), exact for Gaussian noise if H H^H is diagonal; for counts along
+        "convolved" that of the Poisson counts of light that is not negative, exact at sigma = 0
+        (quantisation apart). "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only.
         A saturated pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
@@ -154,8 +155,13 @@ class LinearLikelihood(Likelihood):
             return self._signal_score(x, y, sigma, path)
         field = self.expected(x)
         noise, gain = self._noise_at(field, jnp.iscomplexobj(x))
-        variance = annealing.remaining_variance(noise, gain * sigma**2, path)
-        score = annealing.counts_score(field, y, variance)
+        error = gain * sigma**2
+        variance = annealing.remaining_variance(noise, error, path)
+        if path == "convolved" and self.camera.counting:
+            full_well, read = 1 / self.camera.sigma0**2, self.camera.read_variance
+            score = annealing.counted_score(field, y, full_well, read, error)
+        else:
+            score = annealing.counts_score(field, y, variance)
         if math.isfinite(self.camera.saturation):
             edge = self.camera.saturation
             saturated = annealing.saturated_score(field, edge, variance)

@@ -106,6 +106,8 @@ def _figure(path: Path, losses: np.ndarray, table: dict[str, Any], draws: np.nda
         if None not in values:
             right.semilogx(sigmas, values, style, label=name, markersize=4)
     right.set(xlabel="sigma", ylabel="PSNR in dB", title="Denoising pictures held out")
+    right.set_xticks(sigmas, [f"{s:g}" for s in sigmas])
+    right.minorticks_off()
     right.legend()
     for axes, draw in zip(bottom.subplots(1, len(draws)), draws):
         axes.imshow(draw, cmap="gray", vmin=0, vmax=1)
