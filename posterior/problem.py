@@ -162,8 +162,8 @@ class Posterior(eqx.Module):
         return 1 / (1 / level + self.likelihood.curvature(self._complex, self.y, sigma, path))
 
     def start(self, key: jax.Array) -> jax.Array:
-        """A dispersed place to start a chain: a draw of the prior that the data do not exclude."""
-        return self.likelihood.feasible(self.prior.sample(key))
+        """A dispersed place to start a chain: the prior's, where the data do not exclude it."""
+        return self.likelihood.feasible(self.prior.start(key))
 
     @property
     def positive(self) -> bool:

@@ -17,8 +17,8 @@ class Prior(eqx.Module):
     `log_prob` and `score` take an annealing level `sigma` and refer to the annealed variable, whose
     meaning `perturbation` names (models/annealing.py): "gaussian" adds a normal error of standard
     deviation sigma to a real object and sigma/2 to each of Re and Im of a complex one
-    (eq:part_complex); "signal" adds sqrt(x) times a normal error (eq:defining_x_tilde).
-    sigma = 0 is the prior itself.
+    (eq:part_complex); "signal" adds sqrt(x) times a normal error (eq:defining_x_tilde) and takes
+    the modulus, so that the annealed variable is not negative. sigma = 0 is the prior itself.
     """
 
     shape: eqx.AbstractVar[tuple[int, ...]]
@@ -43,6 +43,10 @@ class Prior(eqx.Module):
     @abc.abstractmethod
     def sample(self, key: jax.Array) -> jax.Array:
         """One object: `shape`, `dtype`."""
+
+    def start(self, key: jax.Array) -> jax.Array:
+        """A dispersed place to start a chain, `shape`, `dtype`: a draw, unless draws are dear."""
+        return self.sample(key)
 
     @abc.abstractmethod
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:

@@ -52,8 +52,9 @@ class Statistics:
 class Denoiser(eqx.Module):
     """The clean image, from a perturbed one (h, w, channels) and its level sigma.
 
-    For "signal" it is the harmonic mean 1/E[1/x | x~] (perturbation.py), else E[x | x~]. sigma
-    is used as it is, except that the network is told no level outside the trained ones.
+    For "signal" it is the harmonic mean 1/E[1/x | x~] (perturbation.py), else E[x | x~]. The
+    former does not depend on the sign of x~, so the network sees |x~|. sigma is used as it is,
+    except that the network is told no level outside the trained ones.
     """
 
     network: eqx.Module
@@ -64,7 +65,8 @@ class Denoiser(eqx.Module):
         stats = self.statistics
         s, variance = self.channel_sd(sigma), stats.sd**2
         total = s**2 + variance
-        centred = x - stats.mean
+        folded = jnp.abs(x) if stats.perturbation == "signal" else x
+        centred = folded - stats.mean
         trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
         level = jnp.log(self.channel_sd(trained) / stats.sd)
         raw = self.network(centred / jnp.sqrt(total), level)

@@ -3,7 +3,8 @@
 Both hold a denoiser D(x~, sigma). `ScorePrior` reads the score off it; nothing makes that a
 gradient, so there is no density. `EnergyPrior` takes D as the argument of an energy,
 
-    E(x~, sigma) = sum (x~ - D)^2 / (2 s^2)           (over 2 sigma^2 D for "signal"),
+    E(x~, sigma) = sum (x~ - D)^2 / (2 s^2),
+    E(z, sigma)  = sum (z - D)^2 / (2 sigma^2 D) - log(1 + exp(-2 z/sigma^2))   for "signal",
 
 and -E as the log-density of the annealed variable, up to a constant at each level: its score is
 the gradient of that number, exactly, and costs a backward pass. Such a D is trained through the
@@ -16,6 +17,7 @@ sees an ever fainter picture, which is right while sigma_max is large against th
 
 import abc
 import os
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -26,7 +28,7 @@ from ..realview import normal_like
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
 from .layers import frozen
-from .perturbation import score_from_denoised
+from .perturbation import folded_energy, score_from_denoised
 
 
 class LearnedPrior(Prior):
@@ -34,10 +36,40 @@ class LearnedPrior(Prior):
 
     A complex object (h, w) is two channels to the network. `shape` must suit the network: its
     strides and its channels. Computes in the dtype of the weights, returns that of the object.
+    For "signal" the annealed variable is folded (perturbation.py): it is not negative, and a score
+    asked for at x < 0 is that at |x| with its sign turned.
     """
 
-    denoiser: eqx.AbstractVar[Denoiser]
-    sampling_steps: eqx.AbstractVar[int]
+    kind: eqx.AbstractClassVar[str]
+    denoiser: Denoiser
+    shape: tuple[int, ...] = eqx.field(static=True)
+    complex_valued: bool = eqx.field(static=True)
+    perturbation: str = eqx.field(static=True)
+    sampling_steps: int = eqx.field(static=True)
+
+    def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
+        self.denoiser = frozen(denoiser)
+        self.shape = suited_shape(shape, denoiser)
+        self.complex_valued = denoiser.statistics.complex_valued
+        self.perturbation = denoiser.statistics.perturbation
+        self.sampling_steps = sampling_steps
+
+    @classmethod
+    def load(
+        cls,
+        name: str | os.PathLike,
+        shape: tuple[int, ...],
+        perturbation: str = "gaussian",
+        dtype: type | None = None,
+    ) -> Self:
+        """Weights by their short name ("nuclei") or the path of a .safetensors file.
+
+        `perturbation` and `dtype` (float or complex; None: what the weights are for) are what the
+        problem asks for. Raises ValueError if the file or its card is damaged or not for that.
+        """
+        from .storage import load_denoiser
+
+        return cls(load_denoiser(name, cls.kind, perturbation, dtype), shape)
 
     @property
     def statistics(self) -> Statistics:
@@ -80,10 +112,25 @@ class LearnedPrior(Prior):
 
         Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
         finest level. An approximation: the network, the finite steps, a start that is pure noise.
-        Never below the pictures' least value. For "signal" no more than a start for a sampler: the
+        Never below the pictures' least value. For "signal" no more than a look at the network: the
         harmonic mean stands in for the mean, and draws come out far too dark.
         """
-        x = _flow_draw(self, key)
+        return self._allowed(_flow_draw(self, key))
+
+    def start(self, key: jax.Array) -> jax.Array:
+        """Independent normal channels of the pictures' mean and sd, none below their least value.
+
+        Costs no evaluation of the network, where `sample` costs 2 `sampling_steps` - 1 of them; as
+        dispersed as the pictures are, but nothing like one.
+        """
+        return self._allowed(self._noise_about_mean(key, self.statistics.sd))
+
+    def _noise_about_mean(self, key: jax.Array, sd: jax.Array | float) -> jax.Array:
+        blank = jnp.zeros(self.shape, self.dtype)
+        mean = self.statistics.mean * (1 + 1j if self.complex_valued else 1)
+        return (mean + sd * normal_like(key, blank)).astype(blank.dtype)
+
+    def _allowed(self, x: jax.Array) -> jax.Array:
         return x if self.statistics.lowest is None else jnp.maximum(x, self.statistics.lowest)
 
     def _prepared(self, x: jax.Array, sigma: jax.Array | float) -> tuple[jax.Array, jax.Array]:
@@ -108,39 +155,11 @@ class ScorePrior(LearnedPrior):
 
     `ScorePrior.load("nuclei", (64, 64))` gives one that comes with the project. The score is
     (D - x)/s^2, s the error's standard deviation per real component (eq:denoiser_complex), or
-    (D - x)/(sigma^2 D) for the signal-dependent error (eq:true_p). Raises ValueError if `shape`
-    does not suit the network.
+    (tanh(x/sigma^2) - x/D)/sigma^2 for the signal-dependent error (eq:true_p, folded). Raises
+    ValueError if `shape` does not suit the network.
     """
 
-    denoiser: Denoiser
-    shape: tuple[int, ...] = eqx.field(static=True)
-    complex_valued: bool = eqx.field(static=True)
-    perturbation: str = eqx.field(static=True)
-    sampling_steps: int = eqx.field(static=True)
-
-    def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
-        self.denoiser = frozen(denoiser)
-        self.shape = suited_shape(shape, denoiser)
-        self.complex_valued = denoiser.statistics.complex_valued
-        self.perturbation = denoiser.statistics.perturbation
-        self.sampling_steps = sampling_steps
-
-    @classmethod
-    def load(
-        cls,
-        name: str | os.PathLike,
-        shape: tuple[int, ...],
-        perturbation: str = "gaussian",
-        dtype: type | None = None,
-    ) -> "ScorePrior":
-        """Weights by their short name ("nuclei") or the path of a .safetensors file.
-
-        `perturbation` and `dtype` (float or complex; None: what the weights are for) are what the
-        problem asks for. Raises ValueError if the file or its card is damaged or not for that.
-        """
-        from .storage import load_denoiser
-
-        return cls(load_denoiser(name, "score", perturbation, dtype), shape)
+    kind: ClassVar[str] = "score"
 
     def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """What the network says."""
@@ -168,39 +187,16 @@ class EnergyPrior(LearnedPrior):
     project. Raises ValueError if `shape` does not suit the network.
     """
 
-    denoiser: Denoiser
-    shape: tuple[int, ...] = eqx.field(static=True)
-    complex_valued: bool = eqx.field(static=True)
-    perturbation: str = eqx.field(static=True)
-    sampling_steps: int = eqx.field(static=True)
-
-    def __init__(self, denoiser: Denoiser, shape: tuple[int, ...], sampling_steps: int = 40):
-        self.denoiser = frozen(denoiser)
-        self.shape = suited_shape(shape, denoiser)
-        self.complex_valued = denoiser.statistics.complex_valued
-        self.perturbation = denoiser.statistics.perturbation
-        self.sampling_steps = sampling_steps
-
-    @classmethod
-    def load(
-        cls,
-        name: str | os.PathLike,
-        shape: tuple[int, ...],
-        perturbation: str = "gaussian",
-        dtype: type | None = None,
-    ) -> "EnergyPrior":
-        """Weights by their short name or path, as `ScorePrior.load`."""
-        from .storage import load_denoiser
-
-        return cls(load_denoiser(name, "energy", perturbation, dtype), shape)
+    kind: ClassVar[str] = "energy"
 
     def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """From the score, by Tweedie's formula."""
-        score = self.channel_score(x, sigma)
         if self.perturbation == "gaussian":
-            return x + self._component_sd(sigma) ** 2 * score
-        # score = (1 - x/D)/sigma^2; what leaves no D between the least value and 1 is noise.
-        inverse = (1 - sigma**2 * score) / jnp.where(jnp.abs(x) > 1e-6, x, 1e-6)
+            return x + self._component_sd(sigma) ** 2 * self.channel_score(x, sigma)
+        # The score is (tanh(z/sigma^2) - z/D)/sigma^2. At z = 0 it tells nothing of D, which hardly
+        # changes below the least value; what leaves no D between that and 1 is noise.
+        z = jnp.maximum(jnp.abs(x), 0.01 * self.statistics.lowest)
+        inverse = (jnp.tanh(z / sigma**2) - sigma**2 * self.channel_score(z, sigma)) / z
         return 1 / jnp.clip(inverse, 1.0, 1 / self.statistics.lowest)
 
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
@@ -208,18 +204,26 @@ class EnergyPrior(LearnedPrior):
         return -jax.grad(energy, argnums=1)(self.denoiser, x, sigma)
 
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
-        """Log-density of the annealed variable at `x`, up to a constant that depends on sigma."""
+        """Log-density of the annealed variable at `x`, up to a constant that depends on sigma.
+
+        -inf if any value is negative for "signal".
+        """
         channels, sigma = self._prepared(x, sigma)
-        return -energy(self.denoiser, channels, sigma).astype(x.real.dtype)
+        value = -energy(self.denoiser, channels, sigma).astype(x.real.dtype)
+        if self.perturbation == "gaussian":
+            return value
+        return jnp.where(jnp.any(channels < 0), -jnp.inf, value)
 
 
 def energy(denoiser: Denoiser, x: jax.Array, sigma: jax.Array) -> jax.Array:
-    """Half the squared residual of the denoiser over the error's variance; a scalar."""
+    """Half the squared residual of the denoiser over the error's variance, folded for "signal".
+
+    A scalar: -log p(x | clean) up to terms without x, at what the denoiser says of the clean one.
+    """
     stats, clean = denoiser.statistics, denoiser(x, sigma)
     if stats.perturbation == "signal":
-        variance = sigma**2 * clean
-    else:
-        variance = component_sd(sigma, stats.complex_valued) ** 2
+        return jnp.sum(folded_energy(x, clean, sigma))
+    variance = component_sd(sigma, stats.complex_valued) ** 2
     return jnp.sum(jnp.square(x - clean) / (2 * variance))
 
 
@@ -246,25 +250,29 @@ def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
     """Heun's rule along dx/dsigma = (x - E[object | x])/sigma, from noise to the finest level.
 
     x~ = x + sigma (error at sigma = 1) moves at that velocity on average, whatever the error's
-    variance depends on, so the flow has the right distribution at every level.
+    variance depends on, so the flow has the right distribution at every level. Folded, |x~| moves
+    at (z - tanh(z/sigma^2) E[object | z])/sigma, the sign of x~ having the mean tanh(z/sigma^2):
+    zero at z = 0, so that only finite steps cross it; they are reflected. For "signal" D stands in
+    for the mean, which it is below.
     """
     stats = prior.statistics
     # Karras et al.'s spacing: powers of 1/7, dense at the fine levels.
     ends = stats.sigma_max ** (1 / 7), stats.sigma_min ** (1 / 7)
     sigmas = jnp.linspace(*ends, prior.sampling_steps) ** 7
-    blank = jnp.zeros(prior.shape, prior.dtype)
-    mean = stats.mean * (1 + 1j) if prior.complex_valued else stats.mean
-    noise = prior.denoiser.channel_sd(sigmas[0]) * normal_like(key, blank)
+    signal = prior.perturbation == "signal"
+    x = prior._noise_about_mean(key, prior.denoiser.channel_sd(sigmas[0]))
 
     def slope(x: jax.Array, sigma: jax.Array) -> jax.Array:
-        return (x - prior.denoise(x, sigma)) / sigma
+        mean = prior.denoise(x, sigma)
+        return (x - (jnp.tanh(x / sigma**2) * mean if signal else mean)) / sigma
 
     def advance(x: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         sigma, following = pair
         step = following - sigma
         first = slope(x, sigma)
         second = slope(x + (step * first).astype(x.dtype), following)
-        return x + (step * (first + second) / 2).astype(x.dtype), None
+        x = x + (step * (first + second) / 2).astype(x.dtype)
+        return jnp.abs(x) if signal else x, None
 
-    x, _ = jax.lax.scan(advance, (mean + noise).astype(blank.dtype), (sigmas[:-1], sigmas[1:]))
+    x, _ = jax.lax.scan(advance, jnp.abs(x) if signal else x, (sigmas[:-1], sigmas[1:]))
     return prior.denoise(x, sigmas[-1])

@@ -2,17 +2,25 @@
 
 "gaussian", real:     x~ = x + e,          e ~ N(0, sigma^2)
 "gaussian", complex:  o~ = o + e,          Re e, Im e ~ N(0, sigma^2/4) each (eq:part_complex)
-"signal":             x~ = x + sqrt(x) e,  e ~ N(0, sigma^2)                 (eq:defining_x_tilde)
+"signal":             z = |x + sqrt(x) e|, e ~ N(0, sigma^2)                 (eq:defining_x_tilde)
 
 Everything here works on channels: real arrays (h, w, channels), a complex object being the two
 channels Re and Im. With s the standard deviation per channel, the score of the Gaussian ones is
 (D - x~)/s^2, D = E[x | x~] (eq:denoiser_complex), and D is what the squared loss finds.
 
-The signal-dependent score is E[(x - x~)/(sigma^2 x) | x~] = (1 - x~ E[1/x | x~])/sigma^2
-(eq:true_p). Its target in eq:DNN_poisson explodes where x is dark. Here the network predicts
-D = 1/E[1/x | x~], the harmonic mean, which the loss (D - x)^2/x finds: its minimum is where
-D E[1/x | x~] = 1. The score is (D - x~)/(sigma^2 D), the same one. A `floor` keeps 1/x finite: the
-prior learnt is that of max(x, floor), exactly, and D is never below the floor either.
+The signal-dependent variable x~ = x + sqrt(x) e may be negative; a sampler that keeps it positive
+by reflection at zero draws z = |x~|. So "signal" means the folded z >= 0 everywhere:
+
+    p(z | x) = (2 pi sigma^2 x)^(-1/2) exp(-(z^2 + x^2)/(2 sigma^2 x)) 2 cosh(z/sigma^2),
+
+whose last factor does not depend on x. What x is given x~ is therefore the same for either sign,
+and eq:true_p, (1 - x~ E[1/x | x~])/sigma^2, becomes (tanh(z/sigma^2) - z E[1/x | z])/sigma^2: its
+one changes where z is not far above sigma^2. The slope of p(z) at zero is 0, its value is not.
+
+The target of eq:DNN_poisson explodes where x is dark. Here the network predicts D = 1/E[1/x | z],
+the harmonic mean, which the loss (D - x)^2/x finds: its minimum is where D E[1/x | z] = 1. The
+score is (tanh(z/sigma^2) - z/D)/sigma^2, the same one. A `floor` keeps 1/x finite: the prior learnt
+is that of max(x, floor), exactly, and D is never below the floor either.
 """
 
 import jax
@@ -34,10 +42,37 @@ def check_perturbation(name: str, complex_valued: bool) -> None:
 def error_sd(
     x: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
 ) -> jax.Array | float:
-    """Standard deviation of the error on each channel of the clean `x`."""
+    """Standard deviation of the error on each channel of the clean `x`, before any fold."""
     if perturbation == "signal":
         return sigma * jnp.sqrt(x)
     return component_sd(sigma, complex_valued)
+
+
+def perturbed(
+    key: jax.Array, clean: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
+) -> jax.Array:
+    """One draw of the annealed variable from the clean channels; never negative for "signal"."""
+    sd = error_sd(clean, sigma, perturbation, complex_valued)
+    x = clean + sd * jax.random.normal(key, clean.shape, clean.dtype)
+    return jnp.abs(x) if perturbation == "signal" else x
+
+
+def folded_score(z: jax.Array, clean: jax.Array, sigma: jax.Array) -> jax.Array:
+    """Score in z of p(z | x = clean); with the harmonic mean for `clean`, that of p(z).
+
+    Elementwise. Odd in z, so that a negative value gets the score of the density's mirror image.
+    """
+    return (jnp.tanh(z / sigma**2) - z / clean) / sigma**2
+
+
+def folded_energy(z: jax.Array, clean: jax.Array, sigma: jax.Array) -> jax.Array:
+    """-log p(z | x = clean), elementwise, without the term log(2 pi sigma^2 clean)/2. Even in z.
+
+    (z - x)^2/(2 sigma^2 x) - log(1 + exp(-2 z/sigma^2)): the cosh without its overflow.
+    """
+    z = jnp.abs(z)
+    unfolded = jnp.square(z - clean) / (2 * sigma**2 * clean)
+    return unfolded - jax.nn.softplus(-2 * z / sigma**2)
 
 
 def score_from_denoised(
@@ -45,7 +80,7 @@ def score_from_denoised(
 ) -> jax.Array:
     """Score at the perturbed `x`, from what the network says of the clean one."""
     if perturbation == "signal":
-        return (denoised - x) / (sigma**2 * denoised)
+        return folded_score(x, denoised, sigma)
     return (denoised - x) / component_sd(sigma, complex_valued) ** 2
 
 
@@ -58,10 +93,10 @@ def denoising_loss(denoised: jax.Array, clean: jax.Array, perturbation: str) -> 
 def signal_score_loss(
     score: jax.Array, clean: jax.Array, x: jax.Array, sigma: jax.Array, floor: float
 ) -> jax.Array:
-    """eq:DNN_poisson in units of the error, for signal-dependent scores that come from an energy.
+    """eq:DNN_poisson, folded, in units of the error, for scores that come from an energy.
 
-    The weight depends on the perturbed `x` alone: one that looked at the clean picture would move
-    the minimum.
+    The weight depends on the perturbed `x` >= 0 alone: one that looked at the clean picture would
+    move the minimum.
     """
-    target = (clean - x) / (sigma**2 * clean)
+    target = folded_score(x, clean, sigma)
     return jnp.mean(sigma**2 * jnp.maximum(x, floor) * jnp.square(score - target))

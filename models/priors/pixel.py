@@ -19,9 +19,9 @@ class PixelPrior(Prior):
     `grid` (m,), increasing, not negative; `density` (m,), not negative, normalised here. Between
     grid points the density is linear; outside it is zero. Real objects only.
 
-    The annealed variable is the signal-dependent one, x~ = x + sqrt(x) e with e ~ N(0, sigma^2)
-    (eq:defining_x_tilde), and lives on x~ > 0; its density and score (eq:true_p) are quadratures
-    of the trapezoid rule, in a variable that fits the kernel's width at every sigma.
+    The annealed variable is the signal-dependent one, folded at zero: |x + sqrt(x) e| with
+    e ~ N(0, sigma^2) (eq:defining_x_tilde). Its density and score (eq:true_p, perturbation.py) are
+    quadratures of the trapezoid rule, in a variable that fits the kernel's width at every sigma.
     Raises ValueError on a grid or density that is no density.
     """
 
@@ -86,7 +86,7 @@ class PixelPrior(Prior):
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Log-density of the annealed picture at `x`; -inf outside the support.
 
-        At sigma > 0 normalised over x~ of either sign; evaluated for x~ > 0 only.
+        At sigma > 0 that of the folded variable, normalised over x >= 0.
         """
         self._to_vector(x)
         sigma = jnp.asarray(sigma, x.dtype)
@@ -99,7 +99,10 @@ class PixelPrior(Prior):
         )
 
     def score(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
-        """E[(x - x~)/(sigma^2 x) | x~] (eq:true_p); the density's own slope at sigma = 0."""
+        """(tanh(z/sigma^2) - z E[1/x | z])/sigma^2 at z = `x`, which is eq:true_p folded.
+
+        The density's own slope at sigma = 0; odd in `x`, which is of no use below zero.
+        """
         self._to_vector(x)
         sigma = jnp.asarray(sigma, x.dtype)
         return jax.lax.cond(
@@ -125,13 +128,15 @@ class PixelPrior(Prior):
         return jnp.where((x >= self.grid[0]) & (x <= self.grid[-1]), slope, 0.0)
 
     def _annealed(self, x: jax.Array, sigma: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Elementwise log-density and score of x~.
+        """Elementwise log-density and score of the folded variable.
 
-        With x = x~ e^{2w} the kernel's exponent (x~ - x)^2/(2 sigma^2 x) is
-        2 x~ sinh(w)^2/sigma^2: even in w, so a grid of |w| up to asinh(reach sigma/(2 sqrt x~))
-        holds it all, however wide or narrow.
+        With x = z e^{2w} the kernel's exponent (z - x)^2/(2 sigma^2 x) is 2 z sinh(w)^2/sigma^2:
+        even in w, so a grid of |w| up to asinh(reach sigma/(2 sqrt z)) holds it all, however wide
+        or narrow. The fold adds a factor 1 + exp(-2 z/sigma^2) that does not depend on x.
         """
-        x = jnp.maximum(x, jnp.finfo(x.dtype).tiny ** 0.5)
+        negative, sign = x < 0, jnp.sign(x)
+        # At zero itself the grid would be endless; the density does not change below this.
+        x = jnp.maximum(jnp.abs(x), 1e-12 * self.grid[-1])
         reach = jnp.arcsinh(_REACH * sigma / (2 * jnp.sqrt(x)))
         u = jnp.linspace(-1.0, 1.0, _NODES, dtype=x.dtype)
         w = reach[..., None] * u
@@ -143,5 +148,7 @@ class PixelPrior(Prior):
         log_sum = jax.nn.logsumexp(log_weight, axis=-1)
         weight = jnp.exp(log_weight - jnp.where(jnp.isfinite(log_sum), log_sum, 0.0)[..., None])
         # (clean - x)/clean = 1 - e^{-2w}
-        score = jnp.sum(weight * -jnp.expm1(-2 * w), axis=-1) / sigma**2
-        return log_sum + log_norm, score
+        unfolded = jnp.sum(weight * -jnp.expm1(-2 * w), axis=-1)
+        score = sign * (unfolded - 2 * jax.nn.sigmoid(-2 * x / sigma**2)) / sigma**2
+        log_density = log_sum + log_norm + jax.nn.softplus(-2 * x / sigma**2)
+        return jnp.where(negative, -jnp.inf, log_density), score

@@ -14,7 +14,7 @@ import optax
 
 from .denoiser import Denoiser
 from .learned import energy
-from .perturbation import denoising_loss, error_sd, signal_score_loss
+from .perturbation import denoising_loss, perturbed, signal_score_loss
 from .pictures import Pictures
 
 KINDS = ("score", "energy")
@@ -125,8 +125,7 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     key_patch, key_level, key_error = jax.random.split(key, 3)
     clean = pictures.patch(key_patch, recipe.size)
     sigma = random_level(key_level, denoiser)
-    sd = error_sd(clean, sigma, stats.perturbation, stats.complex_valued)
-    x = clean + sd * jax.random.normal(key_error, clean.shape, clean.dtype)
+    x = perturbed(key_error, clean, sigma, stats.perturbation, stats.complex_valued)
     weight = denoiser.loss_weight(sigma)
     if recipe.kind == "score":
         return weight * denoising_loss(denoiser(x, sigma), clean, stats.perturbation)
@@ -134,7 +133,8 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     if stats.perturbation == "signal":
         # denoising_loss is about sigma^2 times this one.
         return weight * sigma**2 * signal_score_loss(score, clean, x, sigma, stats.lowest)
-    return weight * denoising_loss(x + sd**2 * score, clean, stats.perturbation)
+    variance = denoiser.channel_sd(sigma) ** 2
+    return weight * denoising_loss(x + variance * score, clean, stats.perturbation)
 
 
 def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:

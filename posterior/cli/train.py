@@ -128,8 +128,6 @@ def _limits(statistics: Statistics, size: int) -> list[str]:
     signal = [
         "Draws of the prior alone come out far too dark: the network knows the harmonic mean, not "
         "the mean, and the broadest level is not pure noise.",
-        "Trained on perturbed values of either sign: a sampler that reflects them at zero shows "
-        "it, in dark areas, pictures that are brighter than any it was trained on.",
     ]
     return [
         *(signal if statistics.perturbation == "signal" else []),

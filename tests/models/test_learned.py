@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from analytic import wiener
 
 import posterior as ps
@@ -13,7 +14,15 @@ from posterior.models import priors
 from posterior.models.priors import EnergyPrior, ScorePrior
 from posterior.models.priors.conservative import line_integral, loop_check, require_gradient
 from posterior.models.priors.denoiser import Denoiser, Statistics
-from posterior.models.priors.perturbation import score_from_denoised
+from posterior.models.priors.perturbation import (
+    folded_energy,
+    folded_score,
+    perturbed,
+    score_from_denoised,
+    signal_score_loss,
+)
+from posterior.models.priors.pictures import Pictures
+from posterior.models.priors.training import Recipe, patch_loss
 from posterior.models.priors.unet import UNet
 from posterior.models.realview import to_real
 
@@ -61,16 +70,130 @@ def test_denoising_is_the_mean_given_the_noisy_object(x64, kind, dtype):
     np.testing.assert_allclose(learned(kind, dtype).denoise(x, 0.2), expected, rtol=1e-9)
 
 
-def test_signal_score_is_that_of_a_tabulated_prior(x64):
+# ---- the signal-dependent error, folded ----------------------------------------------------------
+
+
+CLEAN = np.geomspace(1e-6, 4.0, 40_001)
+Z = np.asarray([1e-3, 0.02, 0.1, 0.4, 1.0])
+
+
+def folded_weights(z, sigma):
+    """p(x, z) dx on CLEAN for x ~ gamma(4, 12), z = |x + sqrt(x) e|: (len(z), len(CLEAN))."""
+    sd = sigma * np.sqrt(CLEAN)
+    kernel = sum(scipy.stats.norm.pdf(s * z[:, None], CLEAN, sd) for s in (1, -1))
+    return kernel * scipy.stats.gamma(4.0, scale=1 / 12).pdf(CLEAN) * np.gradient(CLEAN)
+
+
+def folded_slope(z, sigma):
+    """d/dz of the logarithm of the dense integral, by finite differences."""
+    h = 1e-4 * z
+    above, below = (np.log(folded_weights(z + step, sigma).sum(1)) for step in (h, -h))
+    return (above - below) / (2 * h)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
+def test_signal_score_is_that_of_the_folded_variable(x64, sigma):
     """With the harmonic mean of the clean value in place of the network."""
-    exact = priors.PixelPrior.gamma(4.0, 12.0, (7,))
-    x, sigma = jnp.linspace(0.02, 1.0, 7), 0.3
-    clean = exact.grid[1:]
-    kernel = jnp.exp(-((x[:, None] - clean) ** 2) / (2 * sigma**2 * clean)) / jnp.sqrt(clean)
-    weight = kernel * exact.density[1:] * jnp.gradient(clean)
-    harmonic = weight.sum(1) / (weight / clean).sum(1)
-    found = score_from_denoised(x, harmonic, sigma, "signal", False)
-    np.testing.assert_allclose(found, exact.score(x, sigma), rtol=1e-5)
+    weight = folded_weights(Z, sigma)
+    harmonic = weight.sum(1) / (weight / CLEAN).sum(1)
+    found = score_from_denoised(Z, harmonic, sigma, "signal", False)
+    np.testing.assert_allclose(found, folded_slope(Z, sigma), rtol=1e-5, atol=1e-6)
+    # What each sign alone says of the clean value is the same: the network may be shown |x~|.
+    one = weight / (1 + np.exp(-2 * Z[:, None] / sigma**2))
+    np.testing.assert_allclose(one.sum(1) / (one / CLEAN).sum(1), harmonic, rtol=1e-12)
+
+
+def test_signal_score_without_the_fold_is_wrong_by_a_known_amount(x64):
+    """By (1 - tanh(z/sigma^2))/sigma^2: at sigma = 1 by 0.98 of 1 at z = 0.02, by 0.24 at 1."""
+    weight = folded_weights(Z, 1.0)
+    unfolded = 1 - Z * (weight / CLEAN).sum(1) / weight.sum(1)
+    excess = unfolded - folded_slope(Z, 1.0)
+    np.testing.assert_allclose(excess, 1 - np.tanh(Z), atol=1e-5)
+    np.testing.assert_allclose(excess[[1, 4]], [0.98, 0.24], atol=5e-3)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
+def test_energy_training_aims_at_the_folded_score(x64, sigma):
+    """The mean of its target, given z, is the score, and no other score has a smaller loss."""
+    clean = jnp.asarray(CLEAN)
+    for z, slope in zip(Z, folded_slope(Z, sigma)):
+        weight = jnp.asarray(folded_weights(z[None], sigma)[0])
+
+        def loss(score, z=z, weight=weight):
+            at = jax.vmap(lambda x: signal_score_loss(score, x, z, sigma, 0.01))(clean)
+            return jnp.sum(weight * at) / jnp.sum(weight)
+
+        gradient, curvature = jax.grad(loss)(slope), jax.hessian(loss)(slope)
+        assert abs(gradient / curvature) < 1e-5 * (1 + abs(slope))
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
+def test_energy_of_a_clean_value_is_minus_its_log_density(x64, sigma):
+    z, clean = jnp.asarray(Z), 0.3
+    both = [scipy.stats.norm.pdf(s * Z, clean, sigma * clean**0.5) for s in (1, -1)]
+    expected = -np.log(sum(both)) - 0.5 * np.log(2 * np.pi * sigma**2 * clean)
+    np.testing.assert_allclose(folded_energy(z, clean, sigma), expected, rtol=1e-9, atol=1e-9)
+    slope = jax.grad(lambda z: jnp.sum(folded_energy(z, clean, sigma)))
+    np.testing.assert_allclose(-slope(z), folded_score(z, clean, sigma), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(slope(0 * z), 0, atol=1e-9)
+    assert np.all(np.isfinite(folded_energy(jnp.float32(100 * Z), jnp.float32(clean), 1e-3)))
+
+
+class ConstantNetwork(eqx.Module):
+    """Makes the denoiser say the statistics' mean, whatever it sees: exact for one clean value."""
+
+    one: jax.Array
+    channels: int = eqx.field(static=True, default=1)
+    stride: int = eqx.field(static=True, default=1)
+
+    def __call__(self, x, log_level):
+        return -self.one * x / jnp.exp(log_level)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
+def test_signal_prior_of_one_clean_value(x64, kind, sigma):
+    """Score and what is denoised, of either sign, at zero too; the energy's density beside them."""
+    statistics = Statistics(0.3, 0.2, 0.01, 2.0, "signal", lowest=0.01)
+    prior = KINDS[kind](Denoiser(ConstantNetwork(jnp.ones(())), statistics), (2, 4))
+    x = jnp.asarray([[0.0, 1e-5, 1e-3, 0.02], [0.2, 1.0, -0.02, -1.0]])
+    np.testing.assert_allclose(prior.denoise(x, sigma), 0.3, rtol=1e-9)
+    np.testing.assert_allclose(
+        prior.score(x, sigma), folded_score(x, 0.3, sigma), rtol=1e-9, atol=1e-9
+    )
+    if kind == "energy":
+        expected = -jnp.sum(folded_energy(jnp.abs(x), 0.3, sigma))
+        np.testing.assert_allclose(prior.log_prob(jnp.abs(x), sigma), expected, rtol=1e-9)
+        assert prior.log_prob(x, sigma) == -np.inf
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_signal_loss_of_an_exact_network_is_zero(x64, kind):
+    """On pictures of one value; the energy's would not be, were its target not folded."""
+    statistics = Statistics(0.25, 0.2, 0.01, 2.0, "signal", lowest=0.01)
+    pictures, recipe = Pictures([np.full((8, 8, 1), 0.25)]), Recipe(kind, size=8)
+    keys = jax.random.split(jax.random.key(0), 100)
+
+    def losses(one):
+        denoiser = Denoiser(ConstantNetwork(one), statistics)
+        return jax.vmap(lambda key: patch_loss(denoiser, key, pictures, recipe))(keys)
+
+    np.testing.assert_allclose(losses(jnp.ones(())), 0, atol=1e-9)
+    assert losses(jnp.full((), 0.9)).min() > 1e-6
+
+
+def test_signal_network_and_error_know_no_sign():
+    statistics = Statistics(0.3, 0.2, 0.01, 2.0, "signal", lowest=0.01)
+    denoiser = Denoiser(ConstantNetwork(jnp.full((), 0.5)), statistics)
+    key, clean = jax.random.key(0), jnp.full((4, 4, 1), 0.05)
+    x = perturbed(key, clean, 1.0, "signal", False)
+    assert x.min() >= 0
+    assert np.std(denoiser(x, 1.0)) > 0.005
+    np.testing.assert_array_equal(denoiser(x, 1.0), denoiser(-x, 1.0))
+    assert perturbed(key, clean, 1.0, "gaussian", False).min() < 0
+
+
+# ---- draws and starts ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -83,6 +206,43 @@ def test_draws_have_the_moments_of_the_prior(kind, dtype):
     error = 0.25 / np.sqrt(draws.size)
     assert abs(draws.mean() - 0.3) < 4 * error
     assert abs(draws.std() / 0.25 - 1) < 4 / np.sqrt(2 * draws.size) + 0.01
+
+
+class Silent(eqx.Module):
+    """A network that must not be asked."""
+
+    channels: int = eqx.field(static=True, default=1)
+    stride: int = eqx.field(static=True, default=1)
+
+    def __call__(self, x, log_level):
+        raise AssertionError("the network was evaluated")
+
+
+def silent(channels=1, mean=0.8, **statistics):
+    statistics = Statistics(mean, 0.2, 0.01, 2.0, **statistics)
+    return Denoiser(Silent(channels), statistics)
+
+
+@pytest.mark.parametrize("dtype, channels", [(float, 1), (float, 3), (complex, 2)])
+def test_start_is_dispersed_as_the_pictures_and_asks_no_network(precision, dtype, channels):
+    shape = (40, 50, 3) if channels == 3 else (40, 50)
+    prior = ScorePrior(silent(channels, complex_valued=dtype is complex), shape)
+    x = jax.jit(prior.start)(jax.random.key(0))
+    assert (x.shape, x.dtype) == (shape, prior.dtype)
+    values = np.asarray(to_real(x))
+    assert abs(values.mean() - 0.8) < 4 * 0.2 / np.sqrt(values.size)
+    assert abs(values.std() / 0.2 - 1) < 4 / np.sqrt(2 * values.size)
+
+
+def test_posterior_starts_where_the_prior_does_and_never_below_the_least_value():
+    """Of a dark prior, a fifth of whose start would be negative."""
+    prior = ScorePrior(silent(mean=0.17, perturbation="signal", lowest=0.01), (16, 16))
+    likelihood = models.LinearLikelihood(models.Identity((16, 16)), models.Poisson(100))
+    y, key = np.full((16, 16), 0.2), jax.random.key(1)
+    found = ps.Posterior(likelihood, prior, jnp.asarray(y)).start(key)
+    np.testing.assert_array_equal(found, prior.start(key))
+    assert found.min() == np.float32(0.01)
+    assert 0.1 < np.mean(found == found.min()) < 0.3
 
 
 @pytest.mark.parametrize("dtype", [float, complex])

@@ -179,6 +179,16 @@ def test_short_training_comes_nearer_to_the_analytic_score():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["score", "energy"])
+def test_short_training_on_the_signal_dependent_error_lowers_its_loss(kind):
+    statistics = Statistics(0.5, 0.28, 0.01, 2.0, "signal", lowest=0.1)
+    recipe = Recipe(kind, steps=40, batch=8, size=8, rate=3e-3)
+    _, losses, _ = training.train(fresh(statistics), stripes(), recipe)
+    assert np.all(np.isfinite(losses))
+    assert losses[-10:].mean() < 0.8 * losses[:5].mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["score", "energy"])
 def test_trained_network_reproduces_the_analytic_score(kind, capsys):
     """Four minutes of training; prints the relative error by sigma.
 
