@@ -147,8 +147,8 @@ class LinearLikelihood(Likelihood):
         "gaussian": H^T applied to the score of each measurement: (y - Hx)/(noise variance at Hx -+
         annealing variance), exact for Gaussian noise if H H^H is diagonal; for counts along
         "convolved" that of the Poisson counts of light that is not negative, exact at sigma = 0
-        (quantisation apart). "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only.
-        A saturated pixel counts as "at least this", with Gaussian noise.
+        (quantisation apart). "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts
+        only. A saturated pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":

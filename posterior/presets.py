@@ -24,6 +24,7 @@ from .models.camera import Poisson
 from .models.likelihood import IntensityLikelihood, LinearLikelihood
 from .models.optics import Fourier, FourierPtychography, Identity, Optics
 from .models.priors import EnergyPrior, GaussianField, Prior, ScorePrior
+from .models.priors.learned import LearnedPrior
 from .models.priors.storage import card_of, shipped, shipped_names
 from .problem import Posterior, Problem
 from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
@@ -300,12 +301,20 @@ def _irradiance_of(y: np.ndarray, optics: Optics, prior: Prior) -> float:
     total = float(np.sum(y, dtype=float))
     if total <= 0:
         raise ValueError("the recording is dark everywhere: there is nothing to reconstruct from")
-    if isinstance(optics, Fourier) and isinstance(prior, GaussianField):
-        power = np.asarray(jnp.abs(prior.mean) ** 2 + prior.scale**2, float)
-        return total / float(np.sum(power))
+    if isinstance(optics, Fourier) and isinstance(prior, GaussianField | LearnedPrior):
+        return total / _mean_energy(prior)
     draws = jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 64))
     energy = jnp.sum(jnp.abs(jax.vmap(optics)(draws)) ** 2) / len(draws)
     return total / float(energy)
+
+
+def _mean_energy(prior: GaussianField | LearnedPrior) -> float:
+    """Expected sum of |object|^2."""
+    channels = 2 if prior.complex_valued else 1
+    if isinstance(prior, LearnedPrior):
+        per_pixel = channels * (prior.statistics.mean**2 + prior.statistics.sd**2)
+        return math.prod(prior.shape) * per_pixel
+    return float(jnp.sum(jnp.abs(prior.mean) ** 2 + channels * prior.scale**2))
 
 
 # ---- the prior -----------------------------------------------------------------------------------
@@ -437,10 +446,14 @@ def _stiffest(prior: Prior) -> jax.Array | float:
 _ANNEALED = {"levels": 200, "steps": 5}
 
 
+def learned_annealing(path: str = "convolved") -> AnnealedLangevin:
+    """Annealing for score networks, chosen on held-out nuclei: no density to polish with."""
+    return AnnealedLangevin(levels=60, steps=4, path=path)
+
+
 def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
-    # A score network has no density to polish with, and each of its scores is dear.
     if isinstance(posterior.prior, ScorePrior):
-        return AnnealedLangevin(levels=60, steps=4, path=path)
+        return learned_annealing(path)
     return AnnealedLangevin(**_ANNEALED, path=path, polish=200)
 
 

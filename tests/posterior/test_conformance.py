@@ -15,6 +15,9 @@ SAMPLERS = {
     "annealed": samplers.AnnealedLangevin(levels=4, steps=3),
     "annealed, polished": samplers.AnnealedLangevin(levels=4, steps=3, polish=4),
     "annealed, split": samplers.AnnealedLangevin(levels=4, steps=3, path="split"),
+    "split gibbs": samplers.SplitGibbs(iterations=4, moves=2, prior_steps=2),
+    "dps": samplers.DPS(levels=4),
+    "kawar": samplers.Kawar(levels=4, steps=3),
     "ula": samplers.ULA(1e-4),
     "mala": samplers.MALA(0.01),
     "nuts": samplers.BlackJAX(blackjax.nuts),
@@ -24,11 +27,11 @@ SAMPLERS = {
 }
 
 
-def posterior_of(dtype):
+def posterior_of(dtype, denoising=False):
     n = 6 if dtype is complex else 3
     means = np.random.default_rng(0).standard_normal((2, n)) / 4 + 0.5
     prior = models.GaussianMixture([0.6, 0.4], means, [0.04 * np.eye(n)] * 2, (3,), dtype)
-    if dtype is complex:
+    if dtype is complex and not denoising:
         optics = models.Fourier((3,), oversampling=2)
         likelihood = models.IntensityLikelihood(optics, models.Gaussian(0.05))
     else:
@@ -42,22 +45,36 @@ def run(post, sampler, key=5, **settings):
     return ps.sample(post, sampler, jax.random.key(key), **settings)
 
 
-KINDS = [
-    pytest.param("float32", complex, id="float32-complex"),
-    pytest.param("float64", float, id="float64-real"),
-    pytest.param("float32", float, id="float32-real", marks=pytest.mark.slow),
-    pytest.param("float64", complex, id="float64-complex", marks=pytest.mark.slow),
-]
+KINDS = {
+    "float32-complex": ("float32", complex),
+    "float64-real": ("float64", float),
+    "float32-real": ("float32", float),
+    "float64-complex": ("float64", complex),
+}
+
+# What `make test` runs, the rest being left to the study: two kinds of every sampler, one of those
+# that share their shape with another, none of a mere setting.
+FAST = {
+    "annealed, split": (),
+    "split gibbs": ("float64-real",),
+    "dps": ("float32-complex",),
+    "kawar": ("float32-complex",),
+}
 
 
-# "split" is another setting of a sampler that is here already: the study runs it.
-NAMES = [n if n != "annealed, split" else pytest.param(n, marks=pytest.mark.slow) for n in SAMPLERS]
+def case(name, kind):
+    fast = kind in FAST.get(name, ("float32-complex", "float64-real"))
+    marks = [] if fast else [pytest.mark.slow]
+    return pytest.param(*KINDS[kind], name, id=f"{name}-{kind}", marks=marks)
 
 
-@pytest.mark.parametrize("precision, dtype", KINDS, indirect=["precision"])
-@pytest.mark.parametrize("name", NAMES)
+CASES = [case(name, kind) for name in SAMPLERS for kind in KINDS]
+
+
+@pytest.mark.parametrize("precision, dtype, name", CASES, indirect=["precision"])
 def test_conformance(precision, tmp_path, name, dtype):
-    post, sampler = posterior_of(dtype), SAMPLERS[name]
+    sampler = SAMPLERS[name]
+    post = posterior_of(dtype, denoising=isinstance(sampler, samplers.Kawar))
     draws = run(post, sampler)
     assert draws.values.shape == (2, 6, 3)
     assert draws.values.dtype == post.dtype
