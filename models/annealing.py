@@ -95,44 +95,11 @@ def counts_score(expected: jax.Array, y: jax.Array, variance: jax.Array) -> jax.
     """(y - expected)/variance: the Gaussian score, and the Poisson one if variance ~ expected.
 
     With variance = sigma_0^2 expected this is exactly the score of Poisson counts, so the annealed
-    score tends to that of the true counts and not of their Gaussian approximation.
+    score tends to that of the true counts and not of their Gaussian approximation. Beside an
+    annealing error the variance must be that of the light without the error: if it follows
+    `expected` up and down, low values pull harder than high ones, and dark areas come out bright.
     """
     return (y - expected) / variance
-
-
-def counted_score(
-    field: jax.Array,
-    y: jax.Array,
-    full_well: jax.Array,
-    read_variance: jax.Array | float,
-    annealing: jax.Array,
-) -> jax.Array:
-    """Score, in `field`, of Poisson counts of the light field + e >= 0 ("convolved").
-
-    y holds N = y F electrons; `annealing`: variance s^2 of e, 0 allowed. Knowing only field + e,
-    light is normal about it and cannot be negative:
-        p(N | field) ~ int_0^inf x^N e^(-F x) N(x; field, s^2) dx / Phi(field/s).
-    At s = 0 it is the score of the counts themselves; where many electrons are counted that of
-    (y - field)^2 over the sum of the variances, which in the dark, with a variance that follows
-    the perturbed field, pulls hard in one direction alone. Read noise counts as as much extra
-    light, taken off again: right in mean and variance.
-
-    Approximation: the mean of x in that integral, below 1.2 % of it.
-    """
-    offset = full_well * read_variance
-    field, count = field + offset, full_well * jnp.maximum(y + offset, 0.0)
-    exact = annealing == 0
-    # Without an error the light is at least a hundredth of an electron.
-    field = jnp.where(exact, jnp.maximum(field, 0.01 / full_well), field)
-    sd = jnp.sqrt(jnp.where(exact, 1.0, annealing))
-    centre = field - full_well * annealing
-    fours = 4 * count + jnp.where(exact, 0.0, _tilted_excess(count, centre / sd))
-    root = jnp.sqrt(centre**2 + annealing * fours)
-    # (root - centre)/(2 s^2) - F, without cancellation.
-    bottom = root + field + full_well * annealing
-    bottom = jnp.where(exact, bottom, jnp.maximum(bottom, 0.1 * sd))
-    wall = jnp.where(exact, 0.0, _inverse_mills(field / sd) / sd)
-    return (fours - 4 * full_well * field) / (2 * bottom) - wall
 
 
 def saturated_score(expected: jax.Array, edge: float, variance: jax.Array) -> jax.Array:
@@ -153,20 +120,6 @@ def signal_score(x: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:
 def _inverse_mills(z: jax.Array) -> jax.Array:
     """phi(z)/Phi(z), the slope of log Phi."""
     return jnp.exp(norm.logpdf(z) - norm.logcdf(z))
-
-
-def _tilted_excess(n: jax.Array, s: jax.Array) -> jax.Array:
-    """c in (s + sqrt(s^2 + 4 n + c))/2, the mean of the density x^n N(x; s, 1) on x > 0.
-
-    Riccati's r' = n + 1 + s r - r^2 for that mean r, solved with the slope of the form c = 2, gives
-    c for large n; what it lacks at n = 0, where r = s + phi(s)/Phi(s), is brought in by 1/(1 + n).
-    """
-    large = 2 * (1 - s / jnp.sqrt(s**2 + 4 * n + 2))
-    # Farther out both forms tend to 4, and their difference is lost to rounding.
-    s = jnp.maximum(s, -30.0)
-    mills = _inverse_mills(s)
-    large_0 = 2 * (1 - s / jnp.sqrt(s**2 + 2))
-    return large + (4 * mills * (s + mills) - large_0) / (1 + n)
 
 
 def _bessel_ratio(z: jax.Array) -> jax.Array:

@@ -17,6 +17,9 @@ from .camera import Camera
 from .optics import Identity, Optics
 from .realview import real_score
 
+# Below this many electrons the variance of a count is held.
+_FAINTEST = 0.1
+
 
 class Likelihood(eqx.Module):
     """The probability of a recording given the object.
@@ -72,8 +75,12 @@ class Likelihood(eqx.Module):
         path: str = "convolved",
         published: bool = False,
         perturbation: str = "gaussian",
+        clean: jax.Array | None = None,
     ) -> jax.Array:
-        """Score of log p(y | x~ = x) at annealing level `sigma`; shaped as the object."""
+        """Score of log p(y | x~ = x) at annealing level `sigma`; shaped as the object.
+
+        `clean`: E[object | x~] under the prior, if known, shaped as the object.
+        """
 
     @abc.abstractmethod
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -141,27 +148,24 @@ class LinearLikelihood(Likelihood):
         path: str = "convolved",
         published: bool = False,
         perturbation: str = "gaussian",
+        clean: jax.Array | None = None,
     ) -> jax.Array:
         """Score of log p(y | x~ = x) at annealing level `sigma`; shaped as the object.
 
-        "gaussian": H^T applied to the score of each measurement: (y - Hx)/(noise variance at Hx -+
-        annealing variance), exact for Gaussian noise if H H^H is diagonal; for counts along
-        "convolved" that of the Poisson counts of light that is not negative, exact at sigma = 0
-        (quantisation apart). "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts
+        "gaussian": H^T (y - Hx)/(noise variance -+ annealing variance); exact for Gaussian noise if
+        H H^H is diagonal, and exact for Poisson counts (without quantisation) at sigma = 0. The
+        noise of counts is that of the light in `clean`, E[object | x~], or for want of it in x.
+        "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts
         only. A saturated pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
             return self._signal_score(x, y, sigma, path)
         field = self.expected(x)
-        noise, gain = self._noise_at(field, jnp.iscomplexobj(x))
-        error = gain * sigma**2
-        variance = annealing.remaining_variance(noise, error, path)
-        if path == "convolved" and self.camera.counting:
-            full_well, read = 1 / self.camera.sigma0**2, self.camera.read_variance
-            score = annealing.counted_score(field, y, full_well, read, error)
-        else:
-            score = annealing.counts_score(field, y, variance)
+        light = field if clean is None else self.expected(clean)
+        noise, gain = self._noise_at(light, jnp.iscomplexobj(x))
+        variance = annealing.remaining_variance(noise, gain * sigma**2, path)
+        score = annealing.counts_score(field, y, variance)
         if math.isfinite(self.camera.saturation):
             edge = self.camera.saturation
             saturated = annealing.saturated_score(field, edge, variance)
@@ -182,11 +186,11 @@ class LinearLikelihood(Likelihood):
 
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Variance of the recorded signal (per real component), and the annealing gain."""
-        return self._noise_at(y, x_complex)
+        # Where nothing was recorded there may still be an electron's worth of light.
+        return self._noise_at(jnp.maximum(y, self.camera.sigma0**2), x_complex)
 
     def _noise_at(self, signal: jax.Array, x_complex: bool) -> tuple[jax.Array, jax.Array]:
-        # Below one electron the variance of a count is held at one electron's.
-        level = jnp.maximum(signal.real, self.camera.sigma0**2)
+        level = jnp.maximum(signal.real, _FAINTEST * self.camera.sigma0**2)
         variance = self.camera.sigma0**2 * level + self.camera.read_variance
         return variance, _annealing_gain(self.optics, x_complex)
 
@@ -224,6 +228,7 @@ class IntensityLikelihood(Likelihood):
         path: str = "convolved",
         published: bool = False,
         perturbation: str = "gaussian",
+        clean: jax.Array | None = None,
     ) -> jax.Array:
         """Score of log p(y | x~ = x) at annealing level `sigma`; shaped as the object.
 

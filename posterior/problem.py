@@ -122,10 +122,13 @@ class Posterior(eqx.Module):
         `published=True` is the paper's printed form for complex objects: eq:complex_final, beside a
         prior score of eq:grad_o scaled by sigma^2 where its error has variance sigma^2/4.
         """
-        likelihood = self.likelihood.annealed_score(
-            x, self.y, sigma, path, published, self.prior.perturbation
-        )
         prior = self.prior.score(x, sigma)
+        clean = None
+        if self.prior.perturbation == "gaussian":
+            clean = x + (component_sd(sigma, self._complex) ** 2 * prior).astype(x.dtype)
+        likelihood = self.likelihood.annealed_score(
+            x, self.y, sigma, path, published, self.prior.perturbation, clean
+        )
         return likelihood + (prior / 4 if published and self._complex else prior)
 
     def annealing_range(self, path: str) -> tuple[jax.Array, jax.Array]:

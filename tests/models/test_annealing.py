@@ -109,50 +109,6 @@ def test_bright_counts_have_the_rician_score(x64):
         assert abs(found - rician) * np.sqrt(noise + level) < 0.01
 
 
-def quadrature_of_light(field, count, full_well, sd):
-    """log p(N | field) of light that is normal about `field`, but not negative."""
-    peak = full_well * sd**2  # how far a count of nothing pulls the light down
-    x = np.linspace(0, max(field, 0) + 12 * sd + peak, 200_001)[1:]
-    log_p = stats.poisson.logpmf(count, full_well * x) + stats.norm.logpdf(x, field, sd)
-    return logsumexp(log_p) + np.log(x[0]) - stats.norm.logcdf(field / sd)
-
-
-@pytest.mark.parametrize("count", [0, 1, 3, 10, 100])
-@pytest.mark.parametrize("sd", [0.01, 0.05, 0.3])
-def test_counted_score_of_light_is_the_slope_of_the_quadrature(x64, count, sd):
-    full_well, h = 25.0, 1e-5
-    brightness = count / full_well
-    for field in np.array([-2 * sd, 0.0, sd, brightness - sd, brightness, brightness + 3 * sd]):
-        log_p = [quadrature_of_light(field + step, count, full_well, sd) for step in (-h, h)]
-        expected = (log_p[1] - log_p[0]) / (2 * h)
-        found = annealing.counted_score(
-            jnp.asarray(field), jnp.asarray(brightness), full_well, 0.0, jnp.asarray(sd**2)
-        )
-        # In units of the curvature's bound, 1/s: the mean of the tilted light errs by 1.2 %.
-        light = np.hypot(sd, np.sqrt(max(brightness, 1 / full_well) / full_well))
-        assert abs(found - expected) * min(sd, light) < 0.02
-
-
-@pytest.mark.parametrize("read", [0.0, 0.03])
-def test_counted_score_of_light_without_annealing_is_that_of_the_counts(x64, read):
-    """With read noise that of a shifted count, which has the right mean and variance."""
-    full_well, y = 25.0, jnp.asarray([0.0, 0.04, 0.5, 1.2])
-    field = jnp.asarray([0.2, 0.05, 0.6, 1.0])
-    found = annealing.counted_score(field, y, full_well, read**2, jnp.zeros(4))
-    np.testing.assert_allclose(found, (y - field) / (field / full_well + read**2), rtol=1e-12)
-
-
-def test_counted_score_of_light_keeps_its_digits_in_single_precision():
-    """Many electrons, a broad level, nothing recorded: the terms are a thousand times the score."""
-    field, y = np.linspace(-0.5, 1, 9), np.array([0.0, 5e-4, 1.0])[:, None]
-    with jax.enable_x64(True):
-        exact = np.asarray(annealing.counted_score(field, y, 1e4, 0.0, np.full(9, 0.3**2)))
-    single = [np.asarray(a, np.float32) for a in (field, y, np.full(9, 0.3**2))]
-    found = annealing.counted_score(*map(jnp.asarray, single[:2]), 1e4, 0.0, jnp.asarray(single[2]))
-    assert found.dtype == jnp.float32
-    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-4)
-
-
 def test_signal_score_is_the_slope_of_its_normal_density(x64):
     y, variance = 0.4, 0.02
 

@@ -146,6 +146,24 @@ def test_annealed_score_of_counts_ends_at_the_exact_score(x64, path):
     np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6)
 
 
+@pytest.mark.parametrize("electrons", [1.0, 4.0, 15.0])
+def test_few_counts_pull_neither_up_nor_down_if_the_light_is_known(x64, electrons):
+    """E[annealed score] = 0 over annealing errors as large as the noise, and counts.
+
+    With the noise of the perturbed light in place of that of the light, it is not.
+    """
+    n, full_well = 200_000, 25
+    light = jnp.full(n, electrons / full_well)
+    likelihood = models.LinearLikelihood(models.Identity((n,)), models.Poisson(full_well))
+    y = jnp.asarray(np.random.default_rng(0).poisson(electrons, n) / full_well)
+    sigma = jnp.sqrt(electrons) / full_well
+    x = light + sigma * jax.random.normal(jax.random.key(1), (n,))
+    found = likelihood.annealed_score(x, y, sigma, clean=light)
+    assert abs(found.mean()) < 4 * found.std() / np.sqrt(n)
+    biased = likelihood.annealed_score(x, y, sigma)
+    assert biased.mean() > 10 * biased.std() / np.sqrt(n)
+
+
 @pytest.mark.parametrize("name", ["intensity, counts", "intensity, counts, real"])
 def test_annealed_score_of_intensities_ends_at_the_exact_score(x64, name):
     likelihood, x = case(name)

@@ -142,6 +142,36 @@ def test_a_noise_level_10_percent_wrong_fails_the_conjugate_posterior(x64):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mean, sd", [(0.06, 0.02), (0.3, 0.06)])
+def test_annealed_langevin_is_calibrated_on_a_field_of_few_photons(mean, sd):
+    """Truths of the prior itself, 64x64 pixels of 1.5 and of 7.5 electrons, 60 levels of 4 steps.
+
+    Spread over error of pixels and of means over 8x8 blocks is 1 for an exact sampler. Errors of
+    1536 blocks, which hardly depend on each other, give the ratio an error of 2 %.
+    """
+    rows, columns = np.meshgrid(np.fft.fftfreq(64), np.fft.fftfreq(64), indexing="ij")
+    power = (np.hypot(rows, columns) + 0.02) ** -3
+    prior = models.GaussianField(power * sd**2 / power.mean(), mean)
+    likelihood = models.LinearLikelihood(models.Identity((64, 64)), models.Poisson(25))
+    problem = ps.Problem(likelihood, prior)
+    truths = jnp.abs(jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 24)))
+    sampler, found = samplers.AnnealedLangevin(levels=60, steps=4), []
+    for i, truth in enumerate(truths):
+        y = likelihood.simulate(jax.random.key(i), truth)
+        found.append(draw(problem.condition(y), sampler, key=100 + i, chains=16, draws=1)[:, 0])
+    draws, truths = np.stack(found), np.asarray(truths)
+
+    def blocks(x):
+        return x.reshape(*x.shape[:-2], 8, 8, 8, 8).mean((-3, -1))
+
+    for name, d, t in (("pixels", draws, truths), ("blocks", blocks(draws), blocks(truths))):
+        error = np.mean((d.mean(1) - t) ** 2)
+        ratio = np.sqrt(np.mean(d.var(1, ddof=1)) * (1 + 1 / 16) / error)
+        print(f"few photons, mean {mean}: spread over error of {name} {ratio:.3f}")
+        assert abs(ratio - 1) < 0.08
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["convolved", "split"])
 def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
     """The paper's relaxation of real images (eq:gradient_poisson), on the conjugate posterior.
