@@ -139,6 +139,14 @@ class AnnealedLangevin(Sampler):
         """Steps that tune the polish, after a pilot run; none without a polish."""
         return 500 if self.polish else 0
 
+    def tunes_itself(self) -> bool:
+        """True without a polish: a warm-up that is asked for must not stop a draw half-way."""
+        return not self.polish
+
+    def own_warmup(self, key: jax.Array, state: AnnealedState, steps: int) -> AnnealedState:
+        """The state as it is: there is nothing to tune."""
+        return state
+
     def adaptation(self) -> Adaptation | None:
         """Tunes the polish; nothing to tune without one."""
         return _PolishAdaptation(self) if self.polish else None
