@@ -10,7 +10,8 @@ from ..models.annealing import component_sd
 from ..models.realview import normal_like, real_score
 from ..problem import Posterior
 from .base import Sampler, noised
-from .split_gibbs import check_at_least, check_gaussian, check_levels, denoised
+from .checks import check_at_least, check_gaussian, check_levels
+from .reverse import denoised
 
 # Broadest level in units of the prior's scale: the pull must have time to choose the object.
 _BROADEST = 5.0

@@ -11,7 +11,7 @@ from ..models.likelihood import LinearLikelihood
 from ..models.optics import Identity
 from ..problem import Posterior
 from .base import Sampler, langevin_step, noised
-from .split_gibbs import check_at_least, check_gaussian, check_levels
+from .checks import check_at_least, check_gaussian, check_levels
 
 
 class KawarState(NamedTuple):

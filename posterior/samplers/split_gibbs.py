@@ -5,7 +5,6 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..models.annealing import component_sd
 from ..models.optics import Identity
@@ -13,6 +12,8 @@ from ..models.priors.base import Prior
 from ..models.realview import normal_like, real_score, real_size
 from ..problem import Posterior
 from .base import Sampler, noised
+from .checks import check_at_least, check_gaussian, check_levels
+from .reverse import reverse_diffusion
 
 # Finest coupling, as a fraction of the smallest measurement noise.
 _FINEST_COUPLING = 0.3
@@ -52,7 +53,7 @@ class SplitGibbs(Sampler):
       Metropolis test of its own; under others the image has one, and the step shrinks as
       n^(-1/3) with its n real dimensions (Roberts and Rosenthal 1998).
     - prior: x ~ p(x) N(x; u, rho^2), which is denoising u: `prior_steps` steps of the reverse
-      diffusion from level rho down (`reverse_step`).
+      diffusion from level rho down (reverse.py).
 
     `iterations` a draw: rho falls geometrically from `rho_max` (None: the prior's scale) to
     `rho_min` (None: 0.3 of the smallest measurement noise, not below the finest level that the
@@ -204,73 +205,7 @@ class SplitGibbs(Sampler):
         self, key: jax.Array, prior: Prior, u: jax.Array, rho: jax.Array
     ) -> jax.Array:
         """A draw of p(x) N(x; u, rho^2): reverse diffusion from u at level rho to level 0."""
-        # A range of as many times as there are steps has about the least error on Gaussians.
-        fractions = np.geomspace(1.0, 1 / self.prior_steps, self.prior_steps)
-        levels = jnp.maximum(rho * fractions.astype(rho.dtype), jnp.minimum(rho, prior.finest))
-        levels = jnp.append(levels, 0.0).astype(rho.dtype)
-
-        def advance(x: jax.Array, args: tuple) -> tuple[jax.Array, None]:
-            return reverse_step(args[0], prior, x, args[1], args[2]), None
-
-        keys = jax.random.split(key, self.prior_steps)
-        return jax.lax.scan(advance, u, (keys, levels[:-1], levels[1:]))[0]
-
-
-def denoised(prior: Prior, x: jax.Array, sigma: jax.Array) -> jax.Array:
-    """E[object | annealed x] at level `sigma`: the prior's own, or x + s^2 score (Tweedie)."""
-    if hasattr(prior, "denoise"):
-        return prior.denoise(x, sigma)
-    variance = component_sd(sigma, jnp.iscomplexobj(x)) ** 2
-    return x + (variance * prior.score(x, sigma)).astype(x.dtype)
-
-
-def reverse_step(
-    key: jax.Array, prior: Prior, x: jax.Array, sigma: jax.Array, following: jax.Array
-) -> jax.Array:
-    """The annealed object at level `following`, drawn given `x` at level `sigma`; shaped as `x`.
-
-    The annealing error is a Brownian motion in s^2, so that, with s and t the two levels and the
-    object x_0 known too, x_t is normal about x_0 + (t/s)^2 (x - x_0) with variance
-    t^2 (1 - (t/s)^2). Over the unknown x_0, of mean D(x) and covariance s^2 J, J the Jacobian of D
-    (Tweedie's second order), the mean is x + (s^2 - t^2) score and the covariance
-    (s^2 - t^2) (q^2 + (1 - q^2) J), q = t/s. Noise sqrt(s^2 - t^2) (q + (1 - q) J) n has it where
-    J has eigenvalues 0 or 1, with an error of third order in 1 - q between; J n is a difference of
-    two evaluations. Without it a pixel that the prior leaves free loses a third of its variance in
-    eight steps. `following` = 0 gives D(x) + s J n.
-    """
-    q = following / sigma
-    noise = component_sd(sigma, jnp.iscomplexobj(x)) * normal_like(key, x)
-    clean = denoised(prior, x, sigma)
-    # A network need not have a forward derivative: a difference over a tenth of the noise.
-    spread = 10 * (denoised(prior, x + (0.1 * noise).astype(x.dtype), sigma) - clean)
-    mean = clean + q**2 * (x - clean)
-    return (mean + jnp.sqrt(1 - q**2) * (q * noise + (1 - q) * spread)).astype(x.dtype)
-
-
-def check_gaussian(sampler: Sampler, posterior: Posterior) -> None:
-    """Refuse a prior whose annealing error is not the Gaussian one."""
-    if posterior.prior.perturbation != "gaussian":
-        raise ValueError(
-            f"the prior has the {posterior.prior.perturbation!r} perturbation: "
-            f"give {type(sampler).__name__} one with the gaussian, or use AnnealedLangevin or MALA"
-        )
-
-
-def check_at_least(*settings: tuple[str, int, int]) -> None:
-    """Refuse a count (name, value, least) below its least."""
-    for name, value, least in settings:
-        if value < least:
-            raise ValueError(f"{name} {value}: give {least} or more")
-
-
-def check_levels(**levels: float | None) -> None:
-    """Refuse levels, the broadest first, that are not positive or in the wrong order."""
-    for name, value in levels.items():
-        if value is not None and not value > 0:
-            raise ValueError(f"{name} {value}: it must be positive, or None")
-    (above, broadest), (below, finest) = levels.items()
-    if broadest is not None and finest is not None and not finest <= broadest:
-        raise ValueError(f"{below} {finest} is above {above} {broadest}: exchange them")
+        return reverse_diffusion(key, prior, u, rho, self.prior_steps)
 
 
 def _drift(score: jax.Array, h: jax.Array) -> jax.Array:

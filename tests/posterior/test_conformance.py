@@ -15,6 +15,7 @@ SAMPLERS = {
     "annealed": samplers.AnnealedLangevin(levels=4, steps=3),
     "annealed, polished": samplers.AnnealedLangevin(levels=4, steps=3, polish=4),
     "annealed, split": samplers.AnnealedLangevin(levels=4, steps=3, path="split"),
+    "annealed, descent": samplers.AnnealedLangevin(levels=4, steps=3, descent=3),
     "split gibbs": samplers.SplitGibbs(iterations=4, moves=2, prior_steps=2),
     "dps": samplers.DPS(levels=4),
     "kawar": samplers.Kawar(levels=4, steps=3),
@@ -56,6 +57,7 @@ KINDS = {
 # whose states and draws have the shape of another's. "split" is a setting of one that is here.
 FAST = {
     "annealed, split": (),
+    "annealed, descent": (),
     "split gibbs": ("float64-real",),
     "dps": (),
     "kawar": ("float32-complex",),

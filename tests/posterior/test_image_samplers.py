@@ -13,7 +13,7 @@ from posterior import models, samplers
 from posterior.models.annealing import component_sd
 from posterior.models.priors.base import Prior
 from posterior.models.realview import normal_like
-from posterior.samplers import split_gibbs
+from posterior.samplers import reverse
 
 
 def draw(post, sampler, chains, key=1, **settings):
@@ -95,11 +95,11 @@ def test_a_reverse_diffusion_about_the_denoised_mean_alone_is_too_narrow(x64, mo
     """What J is for: without it, in 16 steps, a sixth of the variance is missing."""
 
     def bridge(key, prior, x, sigma, following):
-        clean, q = split_gibbs.denoised(prior, x, sigma), following / sigma
+        clean, q = reverse.denoised(prior, x, sigma), following / sigma
         noise = following * jnp.sqrt(1 - q**2) * normal_like(key, x)
         return clean + q**2 * (x - clean) + noise
 
-    monkeypatch.setattr(split_gibbs, "reverse_step", bridge)
+    monkeypatch.setattr(reverse, "reverse_step", bridge)
     width, error = relative_variance(*draws_of_the_prior_step(float))
     assert width < 0.9 - 5 * error, width
 
@@ -123,6 +123,24 @@ def test_a_coupling_as_large_as_the_noise_draws_what_it_says_and_not_the_posteri
     check_law(values, *broadened(post, rho))
     with pytest.raises(AssertionError):
         check_law(values, mean, covariance)
+
+
+@pytest.mark.parametrize("dtype", [float, pytest.param(complex, marks=pytest.mark.slow)])
+def test_a_descent_draws_the_object_under_a_broadened_likelihood(x64, dtype):
+    """Ended at a level as large as the noise: twice it in the likelihood of x~ ("convolved"), and
+    once more from x~ to x, three times the variance in all. Without the descent, x~ itself."""
+    post = denoising(dtype)
+    level = post.likelihood.camera.sigma * (2 if dtype is complex else 1)
+    settings = {"levels": 40, "steps": 8, "step_size": 0.3, "sigma_min": level}
+    values = draw(post, samplers.AnnealedLangevin(**settings, descent=16), 4000)
+    check_law(values, *broadened(post, np.sqrt(2) * level))
+    with pytest.raises(AssertionError):
+        check_law(draw(post, samplers.AnnealedLangevin(**settings), 4000), *broadened(post, level))
+
+
+def test_a_draw_ends_in_one_way():
+    with pytest.raises(ValueError, match="one way to end a draw, not both"):
+        samplers.AnnealedLangevin(polish=10, descent=4)
 
 
 class SmoothGamma(Prior):

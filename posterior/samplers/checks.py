@@ -1,0 +1,31 @@
+"""What samplers refuse alike, each in one sentence."""
+
+from ..problem import Posterior
+from .base import Sampler
+
+
+def check_gaussian(sampler: Sampler, posterior: Posterior) -> None:
+    """Refuse a prior whose annealing error is not the Gaussian one."""
+    if posterior.prior.perturbation != "gaussian":
+        raise ValueError(
+            f"the prior has the {posterior.prior.perturbation!r} perturbation: "
+            f"give {type(sampler).__name__} one with the gaussian, or use MALA, or "
+            "AnnealedLangevin without a descent"
+        )
+
+
+def check_at_least(*settings: tuple[str, int, int]) -> None:
+    """Refuse a count (name, value, least) below its least."""
+    for name, value, least in settings:
+        if value < least:
+            raise ValueError(f"{name} {value}: give {least} or more")
+
+
+def check_levels(**levels: float | None) -> None:
+    """Refuse levels, the broadest first, that are not positive or in the wrong order."""
+    for name, value in levels.items():
+        if value is not None and not value > 0:
+            raise ValueError(f"{name} {value}: it must be positive, or None")
+    (above, broadest), (below, finest) = levels.items()
+    if broadest is not None and finest is not None and not finest <= broadest:
+        raise ValueError(f"{below} {finest} is above {above} {broadest}: exchange them")
