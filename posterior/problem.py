@@ -151,6 +151,11 @@ class Posterior(eqx.Module):
             scale = scale / jnp.sqrt(jnp.mean(self.y))
         return jnp.maximum(scale, noise_level), finest
 
+    def data_level(self) -> jax.Array:
+        """Annealing level at which the error is as large as the noise where the data say most."""
+        curvature = self.likelihood.curvature(self._complex, self.y, 0.0, "convolved")
+        return (2 if self._complex else 1) / jnp.sqrt(jnp.max(curvature))
+
     def annealing_variance(self, sigma: jax.Array | float, path: str) -> jax.Array:
         """The smaller of the level's variance and the likelihood's own, harmonically joined.
 

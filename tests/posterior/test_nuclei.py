@@ -68,7 +68,7 @@ def mean_rank(draws, truth):
     return per_picture.mean(), per_picture.std(ddof=1) / np.sqrt(len(truth))
 
 
-def drawn(truth, full_well, sampler):
+def drawn(truth, full_well):
     """Recordings, draws (n, DRAWS, 64, 64) and seconds a draw."""
     camera = models.Poisson(full_well)
     likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
@@ -78,6 +78,7 @@ def drawn(truth, full_well, sampler):
     chains = min(BATCH, DRAWS)
     for i, recording in enumerate(y):
         posterior = problem.condition(recording)
+        sampler = presets.learned_annealing(posterior)
         key, settings = jax.random.key(1000 + i), {"chains": chains, "draws": DRAWS // chains}
         run = ps.sample(posterior, sampler, key, progress=False, **settings)
         found.append(run.values.reshape(-1, SIDE, SIDE))
@@ -87,8 +88,7 @@ def drawn(truth, full_well, sampler):
 @pytest.mark.parametrize("full_well", [100, 25])
 def test_denoising_of_pictures_never_trained_on(patches, full_well):
     bm3d = pytest.importorskip("bm3d").bm3d
-    sampler = presets.learned_annealing()
-    y, draws, seconds = drawn(patches, full_well, sampler)
+    y, draws, seconds = drawn(patches, full_well)
     mean = draws.mean(axis=1)
     camera = models.Poisson(full_well)
     classical = np.stack([anscombe_denoised(image, camera, bm3d) for image in y])
