@@ -449,12 +449,13 @@ _ANNEALED = {"levels": 200, "steps": 5}
 def learned_annealing(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
     """Annealing for score networks, with settings chosen on held-out pictures.
 
-    A picture itself is annealed down to the network's finest level. An object behind a field ends
-    where its annealing error is 0.4 of the noise, in a descent by the prior.
+    It ends in a descent by the prior: for a picture itself from twice the network's finest level,
+    for an object behind a field from where its annealing error is 0.4 of the noise.
     """
+    finest = posterior.prior.finest
     if isinstance(posterior.likelihood, LinearLikelihood):
-        return AnnealedLangevin(levels=60, steps=4, path=path)
-    finest = max(0.4 * float(posterior.data_level()), posterior.prior.finest)
+        return AnnealedLangevin(levels=45, steps=4, path=path, sigma_min=2 * finest, descent=6)
+    finest = max(0.4 * float(posterior.data_level()), finest)
     return AnnealedLangevin(levels=40, steps=4, path=path, sigma_min=finest, descent=6)
 
 
