@@ -27,7 +27,18 @@ from .models.priors import EnergyPrior, GaussianField, Prior, ScorePrior
 from .models.priors.learned import LearnedPrior
 from .models.priors.storage import card_of, shipped, shipped_names
 from .problem import Posterior, Problem
-from .samplers import MALA, ULA, AnnealedLangevin, BlackJAX, Ensemble, Sampler, TemperedSMC
+from .samplers import (
+    DPS,
+    MALA,
+    ULA,
+    AnnealedLangevin,
+    BlackJAX,
+    Ensemble,
+    Kawar,
+    Sampler,
+    SplitGibbs,
+    TemperedSMC,
+)
 from .starts import annealed, from_magnitudes, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
@@ -470,6 +481,9 @@ SAMPLERS = {
     "annealed": Sampling(_annealed_sampler, 25, 1, density=False),
     "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, density=False),
     "ula": Sampling(_ula, 500, 10, density=False),
+    "split-gibbs": Sampling(lambda _: SplitGibbs(), 25, 1, density=False),
+    "dps": Sampling(lambda _: DPS(), 25, 1, density=False),
+    "kawar": Sampling(lambda _: Kawar(), 25, 1, density=False),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
     "ensemble": Sampling(lambda _: Ensemble(), 4000, 1),

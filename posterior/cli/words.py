@@ -13,7 +13,7 @@ _COVERED = {
 }
 _FEW = 100
 _TOO_NARROW = 0.85
-_APPROXIMATE = ("annealed", "annealed-split", "ula")
+_APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "dps", "kawar")
 
 
 def findings(results: dict[str, float]) -> list[str]:

@@ -17,6 +17,12 @@ from posterior.models.priors.storage import FOLDER
 
 RNG = np.random.default_rng(1)
 SMALL = ["--draws", "6", "--warmup", "12", "--thin", "1", "--quiet"]
+LEARNED = [
+    ("denoising", "nuclei"),
+    ("denoising", "cells"),
+    ("phase-retrieval", "natural"),
+    ("ptychography", "complex-cells"),
+]
 NUCLEI = str(FOLDER / "nuclei-gaussian-score.safetensors")
 FILES = {"draws.nc", "figure.png", "settings.json"}
 REAL = FILES | {"mean.tif", "sd.tif"}
@@ -270,6 +276,15 @@ def test_named_weights_are_an_energy_where_a_density_is_needed(density, kind):
     assert isinstance(question.problem.prior, kind)
     sampler = "nuts" if density else "ula"
     presets.SAMPLERS[sampler].build(question.problem.condition(question.y))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("problem, prior", LEARNED)
+def test_a_trained_prior_serves_each_application(problem, prior, folder, tmp_path, capsys):
+    arguments = ("--image", folder / "picture.png", "--prior", prior, "--out", tmp_path / "run")
+    assert _main("sample", problem, *arguments, "--size", 16, *SMALL, "--chains", 1) == 0
+    assert "annealed is approximate" in capsys.readouterr().out
+    assert np.all(np.isfinite(ps.load(tmp_path / "run" / "draws.nc").values))
 
 
 # ---- refusals ------------------------------------------------------------------------------------
