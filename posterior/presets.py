@@ -39,7 +39,7 @@ from .samplers import (
     SplitGibbs,
     TemperedSMC,
 )
-from .starts import annealed, from_magnitudes, has_magnitudes
+from .starts import annealed, from_estimates, from_magnitudes, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
 
@@ -461,13 +461,15 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     """Annealing for score networks, with settings chosen on held-out pictures.
 
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
-    for an object behind a field from where its annealing error is 0.4 of the noise.
+    for an object behind a field from where its annealing error is 0.4 of the noise. There it begins
+    at the sd of a channel, where a start `from_estimates` is not forgotten.
     """
     finest = posterior.prior.finest
     if isinstance(posterior.likelihood, LinearLikelihood):
         return AnnealedLangevin(levels=45, steps=4, path=path, sigma_min=2 * finest, descent=6)
     finest = max(0.4 * float(posterior.data_level()), finest)
-    return AnnealedLangevin(levels=40, steps=4, path=path, sigma_min=finest, descent=6)
+    ends = {"sigma_max": max(float(posterior.prior.scale), finest), "sigma_min": finest}
+    return AnnealedLangevin(levels=40, steps=4, path=path, descent=6, **ends)
 
 
 def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
@@ -499,6 +501,8 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
     """
     if isinstance(posterior.likelihood, LinearLikelihood):
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
+    if isinstance(posterior.prior, LearnedPrior):
+        return from_estimates(posterior, key, chains)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
     search = from_magnitudes if has_magnitudes(posterior.likelihood.optics) else annealed

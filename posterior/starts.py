@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .estimators import hio
-from .models.optics import CONJUGATE_FLIP, Fourier, Optics
+from .estimators import default_start, hio, maximum_likelihood
+from .models.optics import CONJUGATE_FLIP, Fourier, FourierPtychography, Optics
+from .models.priors.learned import LearnedPrior
 from .problem import Posterior
 from .samplers import AnnealedLangevin
 from .sampling import sample
@@ -57,6 +58,35 @@ def from_magnitudes(
         pool = annealed(posterior, scout, generation, len(flat), flat).reshape(shape)
         pool = np.stack([_heirs(posterior, candidates) for candidates in pool])
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
+
+
+def from_estimates(posterior: Posterior, key: jax.Array, chains: int) -> np.ndarray | None:
+    """Starts (chains, *shape) for a learned prior: cheap single answers, for the sampler to noise.
+
+    Phase retrieval: the best solutions of hybrid input-output, one a chain, as in the paper.
+    Ptychography: the quasi-Newton solution with the prior's global phase, the same for every chain.
+    None for other optics.
+    """
+    likelihood, prior = posterior.likelihood, posterior.prior
+    if has_magnitudes(likelihood.optics):
+        kind = "complex" if prior.complex_valued else "nonnegative"
+        found = hio(likelihood, posterior.y, key, kind=kind, keep=chains)
+        objects = np.asarray(found.objects) if chains > 1 else np.asarray(found.object)[None]
+        return _untwinned(objects, likelihood.optics)
+    if not isinstance(likelihood.optics, FourierPtychography):
+        return None
+    found = maximum_likelihood(likelihood, posterior.y, default_start(likelihood, posterior.y))
+    return np.stack([_turned(np.asarray(found.object), prior)] * chains)
+
+
+def _turned(o: np.ndarray, prior: LearnedPrior) -> np.ndarray:
+    """`o` by the global phase that brings it nearest to the prior's mean picture.
+
+    That is what the network makes of a picture at the broadest level, where nothing is left of it.
+    """
+    broadest = jnp.asarray(prior.statistics.sigma_max, o.real.dtype)
+    mean = np.asarray(prior.denoise(jnp.zeros_like(o), broadest))
+    return (o * np.exp(1j * np.angle(np.vdot(o, mean)))).astype(o.dtype)
 
 
 def _candidates(posterior: Posterior, key: jax.Array) -> np.ndarray:
