@@ -291,7 +291,9 @@ def network_denoiser(dtype="float64", perturbation="gaussian"):
     return Denoiser(network, statistics)
 
 
-@pytest.mark.parametrize("perturbation", ["gaussian", "signal"])
+@pytest.mark.parametrize(
+    "perturbation", [pytest.param("gaussian", marks=pytest.mark.slow), "signal"]
+)
 def test_energy_score_is_the_gradient_and_its_jacobian_symmetric(x64, perturbation):
     prior = EnergyPrior(network_denoiser(perturbation=perturbation), (4, 4))
     x = 0.3 + 0.1 * jax.random.uniform(jax.random.key(0), (16,))

@@ -115,6 +115,7 @@ def test_split_gibbs_draws_a_linear_gaussian_posterior(x64, dtype):
     check_law(draw(post, sampler, 3000), *broadened(post, rho))
 
 
+@pytest.mark.slow
 def test_a_coupling_as_large_as_the_noise_draws_what_it_says_and_not_the_posterior(x64):
     """At rho/2 = s per real component the noise has twice its variance."""
     post, mean, covariance = linear_gaussian(6, 4, complex)

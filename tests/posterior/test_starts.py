@@ -5,12 +5,14 @@ import functools
 import jax
 import numpy as np
 import pytest
+from analytic import wiener
 from skimage import data
 from skimage.transform import resize
 
 from posterior import presets, starts
 from posterior.diagnostics import align
 from posterior.models import Poisson
+from posterior.models.priors import ScorePrior
 from posterior.samplers import AnnealedLangevin
 
 SCOUT = {"levels": 60, "steps": 3}
@@ -31,6 +33,7 @@ def question(name="phase-retrieval", **settings):
     return presets.simulate(name, picture, camera, jax.random.key(0), **settings)
 
 
+@pytest.mark.slow
 def test_starts_from_magnitudes_are_near_the_object():
     """Each chain within a few hundred nats of the truth, where annealing alone is thousands off."""
     asked = question()
@@ -68,3 +71,12 @@ def test_samplers_that_need_no_start_get_none():
     asked = question(size=16)
     posterior = asked.problem.condition(asked.y)
     assert presets.start_of("smc", posterior, jax.random.key(0), 2) is None
+
+
+def test_a_start_has_the_global_phase_of_the_prior():
+    """Whose mean is 0.3 (1 + j), whatever phase the estimate came with."""
+    prior = ScorePrior(wiener("score", True, dtype="float32"), (4, 6))
+    o = np.asarray(prior.start(jax.random.key(0))) + 0.6 * (1 + 1j)
+    turned = starts._turned((o * np.exp(1.2j)).astype(np.complex64), prior)
+    np.testing.assert_allclose(np.abs(turned), np.abs(o), rtol=1e-5)
+    assert abs(np.angle(turned.mean()) - np.pi / 4) < 1e-3
