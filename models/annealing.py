@@ -29,6 +29,11 @@ def component_sd(sigma: jax.Array | float, complex_object: bool) -> jax.Array | 
     return sigma / 2 if complex_object else sigma
 
 
+def tweedie(x: jax.Array, score: jax.Array, sigma: jax.Array | float) -> jax.Array:
+    """E[object | x~ = x] from the prior's score at level `sigma`, gaussian perturbation; as `x`."""
+    return x + (component_sd(sigma, jnp.iscomplexobj(x)) ** 2 * score).astype(x.dtype)
+
+
 def remaining_variance(noise: jax.Array, annealing: jax.Array, path: str) -> jax.Array:
     """Noise variance given x~: noise - annealing ("split") or noise + annealing ("convolved").
 
@@ -109,17 +114,13 @@ def saturated_score(expected: jax.Array, edge: float, variance: jax.Array) -> ja
     approximation above some ten electrons.
     """
     sd = jnp.sqrt(variance)
-    return _inverse_mills((expected - edge) / sd) / sd
+    z = (expected - edge) / sd
+    return jnp.exp(norm.logpdf(z) - norm.logcdf(z)) / sd
 
 
 def signal_score(x: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:
     """eq:log_p_y_x_tilde: score of y ~ N(x~, variance x~) in x~ > 0."""
     return (jnp.square(y / x) - 1) / (2 * variance) - 1 / (2 * x)
-
-
-def _inverse_mills(z: jax.Array) -> jax.Array:
-    """phi(z)/Phi(z), the slope of log Phi."""
-    return jnp.exp(norm.logpdf(z) - norm.logcdf(z))
 
 
 def _bessel_ratio(z: jax.Array) -> jax.Array:

@@ -155,8 +155,8 @@ class LinearLikelihood(Likelihood):
         "gaussian": H^T (y - Hx)/(noise variance -+ annealing variance); exact for Gaussian noise if
         H H^H is diagonal, and exact for Poisson counts (without quantisation) at sigma = 0. The
         noise of counts is that of the light in `clean`, E[object | x~], or for want of it in x.
-        "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts
-        only. A saturated pixel counts as "at least this", with Gaussian noise.
+        "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only. A saturated pixel
+        counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
@@ -238,7 +238,7 @@ class IntensityLikelihood(Likelihood):
         sqrt(y) has the variance sigma_0^2/4 - sigma^2 ||h_i||^2/4 per component; it is up to twice
         too sure where a few electrons are counted. A saturated pixel counts as "at least
         this", with Gaussian noise. Where H H^H is not diagonal, the correlation of the annealing
-        errors is neglected.
+        errors is neglected. `clean` is not used.
         `published=True`: eq:complex_final as printed, for complex objects along "split".
         """
         if perturbation != "gaussian":

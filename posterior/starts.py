@@ -14,8 +14,7 @@ from .sampling import sample
 
 # Candidates of each chain, those of them that have heirs, and how often they are chosen anew.
 _CANDIDATES, _PARENTS, _GENERATIONS = 16, 2, 3
-_TRIES = 4  # random phases a candidate
-_HIO_ITERATIONS = 500
+_HIO_STARTS, _HIO_ITERATIONS = 64, 500
 
 
 def annealed(
@@ -51,7 +50,8 @@ def from_magnitudes(
     Real objects are taken to be nonnegative. Raises ValueError as `hio` does.
     """
     key_hio, *keys = jax.random.split(key, 1 + _GENERATIONS)
-    pool = np.stack([_candidates(posterior, jax.random.fold_in(key_hio, i)) for i in range(chains)])
+    keys_hio = [jax.random.fold_in(key_hio, i) for i in range(chains)]
+    pool = np.stack([_solutions(posterior, k, _CANDIDATES) for k in keys_hio])
     shape = pool.shape
     for generation in keys:
         flat = pool.reshape(-1, *posterior.shape)
@@ -69,10 +69,7 @@ def from_estimates(posterior: Posterior, key: jax.Array, chains: int) -> np.ndar
     """
     likelihood, prior = posterior.likelihood, posterior.prior
     if has_magnitudes(likelihood.optics):
-        kind = "complex" if prior.complex_valued else "nonnegative"
-        found = hio(likelihood, posterior.y, key, kind=kind, keep=chains)
-        objects = np.asarray(found.objects) if chains > 1 else np.asarray(found.object)[None]
-        return _untwinned(objects, likelihood.optics)
+        return _untwinned(_solutions(posterior, key, chains), likelihood.optics)
     if not isinstance(likelihood.optics, FourierPtychography):
         return None
     found = maximum_likelihood(likelihood, posterior.y, default_start(likelihood, posterior.y))
@@ -89,16 +86,11 @@ def _turned(o: np.ndarray, prior: LearnedPrior) -> np.ndarray:
     return (o * np.exp(1j * np.angle(np.vdot(o, mean)))).astype(o.dtype)
 
 
-def _candidates(posterior: Posterior, key: jax.Array) -> np.ndarray:
-    found = hio(
-        posterior.likelihood,
-        posterior.y,
-        key,
-        kind="complex" if posterior.prior.complex_valued else "nonnegative",
-        starts=_TRIES * _CANDIDATES,
-        iterations=_HIO_ITERATIONS,
-        keep=_CANDIDATES,
-    )
+def _solutions(posterior: Posterior, key: jax.Array, keep: int) -> np.ndarray:
+    """The `keep` best solutions of hybrid input-output."""
+    kind = "complex" if posterior.prior.complex_valued else "nonnegative"
+    settings = {"starts": max(_HIO_STARTS, keep), "iterations": _HIO_ITERATIONS, "keep": keep}
+    found = hio(posterior.likelihood, posterior.y, key, kind=kind, **settings)
     return np.asarray(found.objects)
 
 

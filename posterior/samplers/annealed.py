@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from ..models.realview import normal_like
 from ..problem import Posterior
 from .adaptation import AdaptationState, MetropolisAdaptation
-from .base import Adaptation, Sampler, State, noised, vmap_step
-from .checks import check_at_least, check_gaussian
+from .base import Adaptation, RunSampler, State, vmap_step
+from .checks import check_at_least, check_gaussian, check_levels
 from .mala import MALA, MALAState
 from .metric import Metric
 from .reverse import reverse_levels, reverse_step
@@ -41,7 +41,7 @@ class AnnealedInfo(NamedTuple):
     acceptance_rate: jax.Array
 
 
-class AnnealedLangevin(Sampler):
+class AnnealedLangevin(RunSampler):
     """Annealed Langevin (Algorithm 1, alg:two): each draw is the end of a run of its own.
 
     `levels` geometric noise levels, `steps` Langevin steps at each. The step at level t is
@@ -100,6 +100,7 @@ class AnnealedLangevin(Sampler):
             raise ValueError(
                 f"polish {self.polish} and descent {self.descent}: one way to end a draw, not both"
             )
+        check_levels(sigma_max=self.sigma_max, sigma_min=self.sigma_min)
         if not 0 < self.step_size < 2:
             raise ValueError(f"step_size {self.step_size}: a fraction, stable between 0 and 2")
         if self.path not in ("split", "convolved"):
@@ -153,12 +154,8 @@ class AnnealedLangevin(Sampler):
         return 500 if self.polish else 0
 
     def tunes_itself(self) -> bool:
-        """True without a polish: a warm-up that is asked for must not stop a draw half-way."""
+        """True without a polish, which alone is tuned."""
         return not self.polish
-
-    def own_warmup(self, key: jax.Array, state: AnnealedState, steps: int) -> AnnealedState:
-        """The state as it is: there is nothing to tune."""
-        return state
 
     def adaptation(self) -> Adaptation | None:
         """Tunes the polish; nothing to tune without one."""
@@ -167,10 +164,10 @@ class AnnealedLangevin(Sampler):
     def _annealing_step(
         self, key: jax.Array, state: AnnealedState
     ) -> tuple[AnnealedState, AnnealedInfo]:
-        key_start, key_step = jax.random.split(key)
+        key_start, key_noise, key_step = jax.random.split(key, 3)
         x, noise = jax.lax.cond(
             state.index == 0,
-            lambda: self._restart(key_start, state),
+            lambda: (self.restarted(key_start, state), normal_like(key_noise, state.position)),
             lambda: (state.position, state.noise),
         )
         sigma = state.sigmas[jnp.minimum(state.index // self.steps, self.levels - 1)]
@@ -185,13 +182,11 @@ class AnnealedLangevin(Sampler):
         info = AnnealedInfo(sigma, jnp.linalg.norm(score), jnp.full((), jnp.nan, sigma.dtype))
         return state._replace(position=x, noise=fresh), info
 
-    def _restart(self, key: jax.Array, state: AnnealedState) -> tuple[jax.Array, jax.Array]:
-        key_start, key_error, key_noise = jax.random.split(key, 3)
-        start = state.posterior.start(key_start) if state.origin is None else state.origin
-        noise = normal_like(key_noise, start)
+    def restarted(self, key: jax.Array, state: AnnealedState) -> jax.Array:
+        """As of every run, but for "signal" the start itself, which is as broad as a level."""
         if state.posterior.positive:
-            return start, noise
-        return noised(key_error, start, state.sigmas[0]), noise
+            return state.posterior.start(key) if state.origin is None else state.origin
+        return super().restarted(key, state)
 
     def _descent_step(
         self, key: jax.Array, state: AnnealedState

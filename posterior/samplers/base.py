@@ -134,6 +134,34 @@ def noised(key: jax.Array, x: jax.Array, sigma: jax.Array) -> jax.Array:
     return x + (component_sd(sigma, jnp.iscomplexobj(x)) * normal_like(key, x)).astype(x.dtype)
 
 
+class RunSampler(Sampler):
+    """A sampler whose every draw is the end of a run of its own, begun at its origin or anywhere.
+
+    A warm-up that is asked for is none: it would stop a draw half-way.
+    """
+
+    def default_warmup(self) -> int:
+        """None: there is nothing to tune."""
+        return 0
+
+    def tunes_itself(self) -> bool:
+        """True: see `own_warmup`."""
+        return True
+
+    def own_warmup(self, key: jax.Array, state: State, steps: int) -> State:
+        """The state as it is."""
+        return state
+
+    def restarted(self, key: jax.Array, state: State) -> jax.Array:
+        """Where a new run begins: the origin, or a dispersed start, at the broadest level.
+
+        For states with the fields `origin`, `sigmas` (the broadest first) and `posterior`.
+        """
+        key_start, key_error = jax.random.split(key)
+        start = state.posterior.start(key_start) if state.origin is None else state.origin
+        return noised(key_error, start, state.sigmas[0])
+
+
 class PopulationSampler(Sampler):
     """A sampler whose state is a whole population, drawn together and moved until it is done.
 

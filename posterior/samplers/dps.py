@@ -9,9 +9,8 @@ import jax.numpy as jnp
 from ..models.annealing import component_sd
 from ..models.realview import normal_like, real_score
 from ..problem import Posterior
-from .base import Sampler, noised
+from .base import RunSampler
 from .checks import check_at_least, check_gaussian, check_levels
-from .reverse import denoised
 
 # Broadest level in units of the prior's scale: the pull must have time to choose the object.
 _BROADEST = 5.0
@@ -34,7 +33,7 @@ class DPSInfo(NamedTuple):
     residual: jax.Array
 
 
-class DPS(Sampler):
+class DPS(RunSampler):
     """Diffusion posterior sampling: each draw is the end of a run of its own.
 
     Chung, Kim, McCann, Klasky and Ye (2023), "Diffusion posterior sampling for general noisy
@@ -97,23 +96,11 @@ class DPS(Sampler):
         """All levels."""
         return self.levels
 
-    def default_warmup(self) -> int:
-        """None: there is nothing to tune."""
-        return 0
-
-    def tunes_itself(self) -> bool:
-        """True: a warm-up that is asked for must not stop a draw half-way."""
-        return True
-
-    def own_warmup(self, key: jax.Array, state: DPSState, steps: int) -> DPSState:
-        """The state as it is."""
-        return state
-
     def step(self, key: jax.Array, state: DPSState) -> tuple[DPSState, DPSInfo]:
         """From the level of `state.index` to the next, or from the last to the object."""
         key_start, key_noise = jax.random.split(key)
         x = jax.lax.cond(
-            state.index == 0, lambda: self._restart(key_start, state), lambda: state.position
+            state.index == 0, lambda: self.restarted(key_start, state), lambda: state.position
         )
         sigma, following = state.sigmas[state.index], state.sigmas[state.index + 1]
         clean, pull, residual = _pull(state.posterior, x, sigma)
@@ -123,11 +110,6 @@ class DPS(Sampler):
         x = (moved + self.zeta * (s - t) * pull).astype(x.dtype)
         state = state._replace(position=x, index=(state.index + 1) % self.levels)
         return state, DPSInfo(sigma, residual)
-
-    def _restart(self, key: jax.Array, state: DPSState) -> jax.Array:
-        key_start, key_error = jax.random.split(key)
-        start = state.posterior.start(key_start) if state.origin is None else state.origin
-        return noised(key_error, start, state.sigmas[0])
 
 
 def _pull(
@@ -141,7 +123,7 @@ def _pull(
     components = 2 if jnp.iscomplexobj(y) else 1
 
     def misfit(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        clean = denoised(posterior.prior, x, sigma)
+        clean = posterior.prior.denoise(x, sigma)
         rest = y - likelihood.expected(clean)
         return jnp.sum((jnp.square(rest.real) + jnp.square(rest.imag)) / variance) / 2, clean
 

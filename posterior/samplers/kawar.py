@@ -10,7 +10,7 @@ from ..models.annealing import component_sd
 from ..models.likelihood import LinearLikelihood
 from ..models.optics import Identity
 from ..problem import Posterior
-from .base import Sampler, langevin_step, noised
+from .base import RunSampler, langevin_step
 from .checks import check_at_least, check_gaussian, check_levels
 
 
@@ -35,7 +35,7 @@ class KawarInfo(NamedTuple):
     score_norm: jax.Array
 
 
-class Kawar(Sampler):
+class Kawar(RunSampler):
     """The stochastic denoiser: each draw is the end of a run of its own, from the recording on.
 
     Kawar, Vaksman and Elad (2021), "Stochastic image denoising by sampling from the posterior
@@ -107,23 +107,11 @@ class Kawar(Sampler):
         """All levels."""
         return self.levels * self.steps
 
-    def default_warmup(self) -> int:
-        """None: there is nothing to tune."""
-        return 0
-
-    def tunes_itself(self) -> bool:
-        """True: a warm-up that is asked for must not stop a draw half-way."""
-        return True
-
-    def own_warmup(self, key: jax.Array, state: KawarState, steps: int) -> KawarState:
-        """The state as it is."""
-        return state
-
     def step(self, key: jax.Array, state: KawarState) -> tuple[KawarState, KawarInfo]:
         """One Langevin step at the level of `state.index`."""
         key_start, key_step = jax.random.split(key)
         x = jax.lax.cond(
-            state.index == 0, lambda: self._restart(key_start, state), lambda: state.position
+            state.index == 0, lambda: self.restarted(key_start, state), lambda: state.position
         )
         posterior, sigma = state.posterior, state.sigmas[state.index // self.steps]
         complex_object = jnp.iscomplexobj(x)
@@ -143,7 +131,8 @@ class Kawar(Sampler):
         variance, _ = posterior.likelihood.noise(complex_object, posterior.y)
         return jnp.mean(jnp.sqrt(variance)) * (2 if complex_object else 1)
 
-    def _restart(self, key: jax.Array, state: KawarState) -> jax.Array:
+    def restarted(self, key: jax.Array, state: KawarState) -> jax.Array:
+        """The recording itself, which is at its level, or the origin at the broadest."""
         if state.origin is None:
             return state.posterior.y.astype(state.position.dtype)
-        return noised(key, state.origin, state.sigmas[0])
+        return super().restarted(key, state)

@@ -30,14 +30,6 @@ def reverse_levels(prior: Prior, sigma: jax.Array, steps: int) -> jax.Array:
     return jnp.append(levels, 0.0).astype(sigma.dtype)
 
 
-def denoised(prior: Prior, x: jax.Array, sigma: jax.Array) -> jax.Array:
-    """E[object | annealed x] at level `sigma`: the prior's own, or x + s^2 score (Tweedie)."""
-    if hasattr(prior, "denoise"):
-        return prior.denoise(x, sigma)
-    variance = component_sd(sigma, jnp.iscomplexobj(x)) ** 2
-    return x + (variance * prior.score(x, sigma)).astype(x.dtype)
-
-
 def reverse_step(
     key: jax.Array, prior: Prior, x: jax.Array, sigma: jax.Array, following: jax.Array
 ) -> jax.Array:
@@ -54,8 +46,8 @@ def reverse_step(
     """
     q = following / sigma
     noise = component_sd(sigma, jnp.iscomplexobj(x)) * normal_like(key, x)
-    clean = denoised(prior, x, sigma)
+    clean = prior.denoise(x, sigma)
     # A network need not have a forward derivative: a difference over a tenth of the noise.
-    spread = 10 * (denoised(prior, x + (0.1 * noise).astype(x.dtype), sigma) - clean)
+    spread = 10 * (prior.denoise(x + (0.1 * noise).astype(x.dtype), sigma) - clean)
     mean = clean + q**2 * (x - clean)
     return (mean + jnp.sqrt(1 - q**2) * (q * noise + (1 - q) * spread)).astype(x.dtype)

@@ -11,7 +11,7 @@ from ..models.optics import Identity
 from ..models.priors.base import Prior
 from ..models.realview import normal_like, real_score, real_size
 from ..problem import Posterior
-from .base import Sampler, noised
+from .base import RunSampler
 from .checks import check_at_least, check_gaussian, check_levels
 from .reverse import reverse_diffusion
 
@@ -24,13 +24,16 @@ _LONGEST_DRIFT = 2.0
 
 
 class SplitGibbsState(NamedTuple):
-    """Everything a step needs; `index` counts iterations within the current draw."""
+    """Everything a step needs; `index` counts iterations within the current draw.
+
+    `sigmas` are the couplings rho, which are annealing levels.
+    """
 
     position: jax.Array
     auxiliary: jax.Array
     origin: jax.Array | None
     index: jax.Array
-    rhos: jax.Array
+    sigmas: jax.Array
     posterior: Posterior
 
 
@@ -41,7 +44,7 @@ class SplitGibbsInfo(NamedTuple):
     acceptance_rate: jax.Array
 
 
-class SplitGibbs(Sampler):
+class SplitGibbs(RunSampler):
     """Split Gibbs with a denoiser as the prior: each draw is the end of a run of its own.
 
     Vono, Dobigeon and Chainais (2019); Bouman and Buzzard (2023), "Generative plug and play"; Wu et
@@ -79,7 +82,7 @@ class SplitGibbs(Sampler):
     rho_max: float | None = None
     rho_min: float | None = None
 
-    shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "rhos")
+    shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "sigmas")
 
     def __check_init__(self):
         check_at_least(
@@ -102,25 +105,13 @@ class SplitGibbs(Sampler):
             auxiliary=posterior.likelihood.feasible(start),
             origin=position,
             index=jnp.zeros((), jnp.int32),
-            rhos=self._couplings(posterior).astype(start.real.dtype),
+            sigmas=self._couplings(posterior).astype(start.real.dtype),
             posterior=posterior,
         )
 
     def steps_per_draw(self) -> int:
         """All iterations."""
         return self.iterations
-
-    def default_warmup(self) -> int:
-        """None: there is nothing to tune."""
-        return 0
-
-    def tunes_itself(self) -> bool:
-        """True: a warm-up that is asked for must not stop a draw half-way."""
-        return True
-
-    def own_warmup(self, key: jax.Array, state: SplitGibbsState, steps: int) -> SplitGibbsState:
-        """The state as it is."""
-        return state
 
     def step(
         self, key: jax.Array, state: SplitGibbsState
@@ -132,7 +123,7 @@ class SplitGibbs(Sampler):
             lambda: self._restart(key_start, state),
             lambda: (state.position, state.auxiliary),
         )
-        rho, posterior = state.rhos[state.index], state.posterior
+        rho, posterior = state.sigmas[state.index], state.posterior
         u, acceptance = self._auxiliary_given(key_likelihood, posterior, u, x, rho)
         x = self._object_given(key_prior, posterior.prior, u, rho)
         index = (state.index + 1) % self.iterations
@@ -150,11 +141,8 @@ class SplitGibbs(Sampler):
         return jnp.concatenate([jnp.geomspace(rho_max, rho_min, falling), held])
 
     def _restart(self, key: jax.Array, state: SplitGibbsState) -> tuple[jax.Array, jax.Array]:
-        key_start, key_error = jax.random.split(key)
-        posterior = state.posterior
-        start = posterior.start(key_start) if state.origin is None else state.origin
-        x = noised(key_error, start, state.rhos[0])
-        return x, posterior.likelihood.feasible(x)
+        x = self.restarted(key, state)
+        return x, state.posterior.likelihood.feasible(x)
 
     def _auxiliary_given(
         self, key: jax.Array, posterior: Posterior, u: jax.Array, x: jax.Array, rho: jax.Array

@@ -95,7 +95,7 @@ def test_a_reverse_diffusion_about_the_denoised_mean_alone_is_too_narrow(x64, mo
     """What J is for: without it, in 16 steps, a sixth of the variance is missing."""
 
     def bridge(key, prior, x, sigma, following):
-        clean, q = reverse.denoised(prior, x, sigma), following / sigma
+        clean, q = prior.denoise(x, sigma), following / sigma
         noise = following * jnp.sqrt(1 - q**2) * normal_like(key, x)
         return clean + q**2 * (x - clean) + noise
 
@@ -111,7 +111,7 @@ def test_split_gibbs_draws_a_linear_gaussian_posterior(x64, dtype):
     post, mean, covariance = linear_gaussian(6, 4, dtype)
     np.testing.assert_allclose(broadened(post, 0.0)[0], mean, rtol=1e-8)
     sampler = samplers.SplitGibbs(iterations=200, moves=20)
-    rho = float(sampler.init(jax.random.key(0), post).rhos[-1])
+    rho = float(sampler.init(jax.random.key(0), post).sigmas[-1])
     check_law(draw(post, sampler, 3000), *broadened(post, rho))
 
 
@@ -137,6 +137,46 @@ def test_a_descent_draws_the_object_under_a_broadened_likelihood(x64, dtype):
     check_law(values, *broadened(post, np.sqrt(2) * level))
     with pytest.raises(AssertionError):
         check_law(draw(post, samplers.AnnealedLangevin(**settings), 4000), *broadened(post, level))
+
+
+def at_one_level(step_size, sigma, count=4000):
+    """Draws of x~ at a level that stays: 120 steps, the start forgotten."""
+    ends = {"sigma_max": sigma, "sigma_min": sigma}
+    sampler = samplers.AnnealedLangevin(levels=2, steps=60, step_size=step_size, **ends)
+    return draw(denoising(), sampler, count)
+
+
+@pytest.mark.parametrize("step_size", [0.6, pytest.param(1.2, marks=pytest.mark.slow)])
+def test_a_step_of_any_size_leaves_a_gaussian_with_its_covariance(x64, step_size):
+    """x~ under a prior and a likelihood that are both broader by the level: exactly known.
+
+    A plain Langevin step h leaves each eigenvalue v of that covariance at v/(1 - h/(2 v)).
+    """
+    post, sigma = denoising(), 0.1
+    noise = post.likelihood.camera.sigma**2 + sigma**2
+    prior = np.asarray(post.prior.covariance) + sigma**2 * np.eye(6)
+    covariance = np.linalg.inv(np.linalg.inv(prior) + np.eye(6) / noise)
+    weights = np.linalg.solve(prior, np.asarray(post.prior.mean)) + np.asarray(post.y) / noise
+    values, mean = at_one_level(step_size, sigma), covariance @ weights
+    check_law(values, mean, covariance)
+    h = step_size / (1 / sigma**2 + 1 / noise)
+    v, axes = np.linalg.eigh(covariance)
+    with pytest.raises(AssertionError):
+        check_law(values, mean, (axes * v / (1 - h / (2 * v))) @ axes.T)
+    with pytest.raises(AssertionError):
+        check_law(values, mean, 1.1 * covariance)
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_the_data_level_is_that_of_the_noise(dtype):
+    """Half of it in Re and in Im: noise of sd 0.1 each is the level 0.2 of a complex object."""
+    np.testing.assert_allclose(denoising(dtype).data_level(), 0.2 if dtype is complex else 0.1)
+
+
+def test_tweedie_is_for_the_gaussian_error():
+    prior = models.PixelPrior.gamma(4.0, 12.0, (7,))
+    with pytest.raises(ValueError, match="Tweedie's formula is for the gaussian one"):
+        prior.denoise(jnp.ones(7), 0.1)
 
 
 def test_a_draw_ends_in_one_way():
@@ -213,7 +253,7 @@ def test_split_gibbs_draws_the_gamma_posterior_of_photon_counts(x64):
     prior = SmoothGamma(3, 20.0, COUNTS.shape)
     post = ps.Problem(likelihood, prior).condition(COUNTS / FULL_WELL)
     sampler = samplers.SplitGibbs(iterations=50, moves=5, prior_steps=6)
-    rho = float(sampler.init(jax.random.key(0), post).rhos[-1])
+    rho = float(sampler.init(jax.random.key(0), post).sigmas[-1])
     values = draw(post, sampler, 500).reshape(-1, COUNTS.size)
     mean, sd = photon_moments(FULL_WELL, rho)
     check_pixels(values, mean, sd)
@@ -348,7 +388,5 @@ def test_draws_start_anew_from_a_given_start():
     for sampler in THREE:
         state = sampler.init(jax.random.key(0), post, jnp.full(post.shape, 0.7))
         np.testing.assert_array_equal(state.origin, jnp.full(post.shape, 0.7))
-        restarted = sampler._restart(jax.random.key(1), state)
-        x = restarted[0] if isinstance(restarted, tuple) else restarted
-        level = (state.rhos if isinstance(sampler, samplers.SplitGibbs) else state.sigmas)[0]
+        x, level = sampler.restarted(jax.random.key(1), state), state.sigmas[0]
         assert 0.01 * level < np.std(x - 0.7) < 3 * level

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 import posterior as ps
-from known import batch_error, check_mean, check_moments, linear_gaussian, real_view
+from known import (
+    batch_error,
+    block_means,
+    check_mean,
+    check_moments,
+    linear_gaussian,
+    real_view,
+    spread_over_error,
+)
 from posterior import diagnostics, models, samplers
 from posterior.samplers.base import langevin_step
 from posterior.samplers.ula import ULAState
@@ -161,12 +169,8 @@ def test_annealed_langevin_is_calibrated_on_a_field_of_few_photons(mean, sd):
         found.append(draw(problem.condition(y), sampler, key=100 + i, chains=16, draws=1)[:, 0])
     draws, truths = np.stack(found), np.asarray(truths)
 
-    def blocks(x):
-        return x.reshape(*x.shape[:-2], 8, 8, 8, 8).mean((-3, -1))
-
-    for name, d, t in (("pixels", draws, truths), ("blocks", blocks(draws), blocks(truths))):
-        error = np.mean((d.mean(1) - t) ** 2)
-        ratio = np.sqrt(np.mean(d.var(1, ddof=1)) * (1 + 1 / 16) / error)
+    for name, f in (("pixels", np.asarray), ("blocks", block_means)):
+        ratio = spread_over_error(f(draws), f(truths))
         print(f"few photons, mean {mean}: spread over error of {name} {ratio:.3f}")
         assert abs(ratio - 1) < 0.08
 

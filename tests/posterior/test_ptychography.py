@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import posterior as ps
+from known import spread_over_error
 from posterior import models, presets
 from posterior.diagnostics import align
 from posterior.estimators import default_start, maximum_likelihood
@@ -69,8 +70,7 @@ def test_the_posterior_mean_beats_quasi_newton(leds, sigma_0):
     draws = ps.sample(posterior, sampler, keys[1], **settings).values[:, 0]
     draws, fitted = (align(np.asarray(o), truth, ["global_phase"]) for o in (draws, fitted))
     mean = draws.mean(axis=0)
-    spread = np.mean(np.abs(draws - mean) ** 2) * (CHAINS + 1) / (CHAINS - 1)
-    ratio = np.sqrt(spread / np.mean(np.abs(mean - truth) ** 2))
+    ratio = spread_over_error(draws[None], truth[None])
     found = [f(o, truth) for f in (amplitude_psnr, phase_psnr) for o in (fitted, mean)]
     print(
         f"\nptychography, {leds} LEDs, sigma_0 {sigma_0}: "
