@@ -284,6 +284,19 @@ class Poisson(_CountingCamera):
         tail = partial(poisson_log_interval, start, jnp.inf, width=UNBOUNDED)
         return jnp.where(saturated, where_asked(saturated, tail, lam, 0.0), value)
 
+    def electrons_between(self, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The least and the largest number of electrons that give `y`; inf at the full well.
+
+        Whole numbers in the dtype of `y`, and shaped as it; the same one where y tells the count.
+        """
+        y = jnp.asarray(y)
+        if self.bits is None:
+            low = jnp.round(y * self.full_well)
+            return low, jnp.where(low >= self.full_well, jnp.inf, low)
+        table = jnp.asarray(_first_counts(self.full_well, self.bits), y.dtype)
+        code = jnp.clip(jnp.round(y * self._top), 0, self._top).astype(jnp.int32)
+        return table[code], jnp.where(code == self._top, jnp.inf, table[code + 1] - 1)
+
     def check(self, y: np.ndarray) -> None:
         """Refuse nan, inf, integers, complex, out of 0..1, and what no electron count gives."""
         y = np.asarray(y)

@@ -38,6 +38,7 @@ from .samplers import (
     Sampler,
     SplitGibbs,
     TemperedSMC,
+    Thickening,
 )
 from .starts import annealed, from_estimates, from_magnitudes, has_magnitudes
 
@@ -100,21 +101,21 @@ def simulate(
     prior: str | None = None,
     irradiance: float | None = None,
     oversampling: int | None = None,
-    density: bool = False,
+    needs: str = "score",
 ) -> Question:
     """Record the object in `picture` with a simulated camera.
 
     `picture` is an array as `read_picture` gives it; for ptychography a complex one is the object
     itself, and a grey one becomes one by `complex_object`. `size` None: the application's own, or
     the picture's if that is smaller. `prior`: a picture or a folder of them, None for those of
-    scikit-image; or the name of trained weights ("nuclei"), or a .safetensors file; `density`: take
-    the named weights of an energy, for samplers that need one. `irradiance` None: the brightest
-    expected pixel just meets the full well, with four standard deviations of its photon noise to
-    spare. Raises ValueError on what does not fit.
+    scikit-image; or the name of trained weights ("nuclei"), or a .safetensors file. `needs`: what
+    the sampler needs of trained weights (`Sampling`). `irradiance` None: the brightest expected
+    pixel just meets the full well, with four standard deviations of its photon noise to spare.
+    Raises ValueError on what does not fit.
     """
     truth = _object(name, picture, size)
     optics = _optics(name, truth.shape, oversampling)
-    known, names = _prior(name, truth.shape, prior, truth, density)
+    known, names = _prior(name, truth.shape, prior, truth, needs)
     x = jnp.asarray(truth, known.dtype)
     if irradiance is None and name != DENOISING:
         irradiance = _full_exposure(float(jnp.max(jnp.abs(optics(x)) ** 2)), camera)
@@ -132,7 +133,7 @@ def record(
     prior: str | None = None,
     irradiance: float | None = None,
     oversampling: int | None = None,
-    density: bool = False,
+    needs: str = "score",
 ) -> Question:
     """Take a recording: integer codes of the ADC, or floats in electrons / full well.
 
@@ -144,7 +145,7 @@ def record(
     y = _normalised(data, camera)
     optics = _optics(name, _object_shape(name, y, size, oversampling), oversampling)
     camera.check(y)
-    known, names = _prior(name, optics.in_shape, prior, None, density)
+    known, names = _prior(name, optics.in_shape, prior, None, needs)
     if irradiance is None and name != DENOISING:
         irradiance = _irradiance_of(y, optics, known)
     return Question(_problem(optics, camera, known, irradiance), y, None, irradiance, names)
@@ -341,29 +342,55 @@ def _prior(
     shape: tuple[int, int],
     prior: str | None,
     truth: np.ndarray | None,
-    density: bool,
+    needs: str,
 ) -> tuple[Prior, dict[str, str]]:
     """The prior that is asked for, and what it was made from, with hashes."""
     if not is_trained(prior):
         return _fitted_prior(name, shape, prior, truth)
-    card = weights_card(prior, density)
+    card = weights_card(prior, needs)
     kind = EnergyPrior if card["kind"] == "energy" else ScorePrior
-    found = kind.load(prior, shape, dtype=complex if name == PTYCHOGRAPHY else float)
+    dtype = complex if name == PTYCHOGRAPHY else float
+    found = kind.load(prior, shape, card["statistics"]["perturbation"], dtype)
     return found, {Path(prior).name: card["sha256"]}
 
 
-def weights_card(prior: str, density: bool) -> dict[str, Any]:
-    """The model card of trained weights; refuses a score where a density is needed."""
-    named = prior in shipped_names()
-    if not density or f"{prior}-gaussian-energy" in shipped():
-        return card_of(prior, "energy" if density else "score")
-    if named or card_of(prior)["kind"] != "energy":
-        scores = [name for name, sampling in SAMPLERS.items() if not sampling.density]
+# What a sampler needs, and the kind and perturbation of the weights that have it.
+_NEEDS = {"score": "score", "density": "density", "counts": "denoiser of counts"}
+_WEIGHTS = {
+    "score": ("score", "gaussian"),
+    "density": ("energy", "gaussian"),
+    "counts": ("score", "poisson"),
+}
+
+
+def weights_card(prior: str, needs: str) -> dict[str, Any]:
+    """The model card of trained weights; refuses those that have not what a sampler needs."""
+    kind, perturbation = _WEIGHTS[needs]
+    if f"{prior}-{perturbation}-{kind}" in shipped():
+        return card_of(prior, kind, perturbation)
+    card = card_of(prior)
+    found = card["kind"], card["statistics"]["perturbation"]
+    has = [need for need, weights in _WEIGHTS.items() if weights == found]
+    has += ["score"] if "density" in has else []
+    if needs not in has:
+        fit = [name for name, sampling in SAMPLERS.items() if sampling.needs in has]
+        remedy = f"use --sampler {' or '.join(fit)}, or " if fit else ""
         raise ValueError(
-            f"{Path(prior).name} is a score without a density: use --sampler "
-            f"{' or '.join(scores)}, or weights trained with --kind energy"
+            f"{Path(prior).name} has kind {found[0]} and perturbation {found[1]}, and the sampler "
+            f"needs a {_NEEDS[needs]}: {remedy}give weights trained with --kind {kind} "
+            f"--perturbation {perturbation}"
         )
-    return card_of(prior)
+    return card
+
+
+def best_sampler(name: str, prior: str | None) -> str:
+    """The sampler of an application where none is asked for."""
+    if not is_trained(prior):
+        return APPLICATIONS[name].sampler
+    counts = f"{prior}-poisson-score" in shipped() or (
+        prior not in shipped_names() and card_of(prior)["statistics"]["perturbation"] == "poisson"
+    )
+    return "thickening" if counts and name == DENOISING else "annealed"
 
 
 def _fitted_prior(
@@ -431,13 +458,13 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 class Sampling(NamedTuple):
     """How a named sampler is built for a posterior, and how much it draws if nothing is said.
 
-    `density`: it needs that of the prior, and not the score alone.
+    `needs`, of the prior: its "density", its "score" alone, or the denoiser of "counts".
     """
 
     build: Callable[[Posterior], Sampler]
     draws: int
     thin: int
-    density: bool = True
+    needs: str = "density"
 
 
 def _ula(posterior: Posterior) -> ULA:
@@ -480,12 +507,13 @@ def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> Annealed
 
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
-    "annealed": Sampling(_annealed_sampler, 25, 1, density=False),
-    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, density=False),
-    "ula": Sampling(_ula, 500, 10, density=False),
-    "split-gibbs": Sampling(lambda _: SplitGibbs(), 25, 1, density=False),
-    "dps": Sampling(lambda _: DPS(), 25, 1, density=False),
-    "kawar": Sampling(lambda _: Kawar(), 25, 1, density=False),
+    "annealed": Sampling(_annealed_sampler, 25, 1, needs="score"),
+    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, needs="score"),
+    "ula": Sampling(_ula, 500, 10, needs="score"),
+    "split-gibbs": Sampling(lambda _: SplitGibbs(), 25, 1, needs="score"),
+    "dps": Sampling(lambda _: DPS(), 25, 1, needs="score"),
+    "kawar": Sampling(lambda _: Kawar(), 25, 1, needs="score"),
+    "thickening": Sampling(lambda _: Thickening(), 25, 1, needs="counts"),
     "nuts": Sampling(lambda _: BlackJAX(blackjax.nuts), 250, 1),
     "smc": Sampling(lambda _: TemperedSMC(), 250, 1),
     "ensemble": Sampling(lambda _: Ensemble(), 4000, 1),

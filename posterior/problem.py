@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .models.annealing import component_sd, remaining_variance
+from .models.annealing import component_sd, remaining_variance, tweedie
 from .models.likelihood import Likelihood
 from .models.priors.base import Prior
 
@@ -34,6 +34,8 @@ class Problem(eqx.Module):
         # A trial trace finds what the parts refuse together, before any work is done.
         x = jax.ShapeDtypeStruct(self.prior.shape, self.prior.dtype)
         y = jax.eval_shape(self.likelihood.expected, x)
+        if self.prior.perturbation == "poisson":
+            return  # counts have no score to anneal: samplers check the rest
         jax.eval_shape(
             lambda x, y: self.likelihood.annealed_score(
                 x, y, 0.0, perturbation=self.prior.perturbation
@@ -125,7 +127,7 @@ class Posterior(eqx.Module):
         prior = self.prior.score(x, sigma)
         clean = None
         if self.prior.perturbation == "gaussian":
-            clean = x + (component_sd(sigma, self._complex) ** 2 * prior).astype(x.dtype)
+            clean = tweedie(x, prior, sigma)
         likelihood = self.likelihood.annealed_score(
             x, self.y, sigma, path, published, self.prior.perturbation, clean
         )

@@ -35,8 +35,8 @@ OBJECTS = {"grey": 1, "colour": 3, "complex": 2}
 
 # Trained levels in units of the pictures' sd, as an error per channel. The broadest is where noise
 # drowns every picture, so that draws may start from noise alone; the signal-dependent variable
-# must mostly stay positive, which ends it earlier.
-_FINEST, _BROADEST, _BROADEST_SIGNAL = 0.01, 40.0, 4.0
+# must mostly stay positive, which ends it earlier. Of counts, 20 leaves a few in a whole patch.
+_FINEST, _BROADEST = 0.01, {"gaussian": 40.0, "signal": 4.0, "poisson": 20.0}
 _SAVE_SECONDS = 60.0
 
 
@@ -157,14 +157,13 @@ def statistics_of(
     mean, sd = float(flat.mean()), float(flat.std())
     if sd < 1e-6:
         raise ValueError(f"the pictures have sd {sd:.3g}: pictures that do not vary teach nothing")
-    # Channel errors over the level: brightness for "signal", a half for complex objects.
-    per_level = mean**0.5 if perturbation == "signal" else 0.5 if complex_valued else 1.0
-    broadest = _BROADEST_SIGNAL if perturbation == "signal" else _BROADEST
+    # Channel errors over the level: brightness where it counts, a half for complex objects.
+    per_level = mean**0.5 if perturbation != "gaussian" else 0.5 if complex_valued else 1.0
     return Statistics(
         mean=_rounded(mean),
         sd=_rounded(sd),
         sigma_min=_rounded(_FINEST * sd / per_level),
-        sigma_max=_rounded(broadest * sd / per_level),
+        sigma_max=_rounded(_BROADEST[perturbation] * sd / per_level),
         perturbation=perturbation,
         complex_valued=complex_valued,
         lowest=None if complex_valued else how.floor,

@@ -4,6 +4,13 @@ import jax
 import pytest
 
 
+@pytest.fixture(autouse=True, scope="module")
+def released():
+    """Programs of a file are dropped after it: one process cannot map those of a thousand tests."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture
 def x64():
     """Run the test in double precision, without leaving the flag set for the next one."""

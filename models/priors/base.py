@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..annealing import component_sd
+from ..annealing import component_sd, tweedie
 from ..realview import from_real, is_complex, real_score, to_real
 
 
@@ -18,7 +18,8 @@ class Prior(eqx.Module):
     meaning `perturbation` names (models/annealing.py): "gaussian" adds a normal error of standard
     deviation sigma to a real object and sigma/2 to each of Re and Im of a complex one
     (eq:part_complex); "signal" adds sqrt(x) times a normal error (eq:defining_x_tilde) and takes
-    the modulus, so that the annealed variable is not negative. sigma = 0 is the prior itself.
+    the modulus, so that the annealed variable is not negative. Of "poisson", the counts of an
+    exposure of 1/sigma^2, there is no score, and `denoise` alone. sigma = 0 is the prior itself.
     """
 
     shape: eqx.AbstractVar[tuple[int, ...]]
@@ -55,6 +56,19 @@ class Prior(eqx.Module):
     def score(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Gradient of `log_prob` in the real view, as an object: d/dRe + j d/dIm."""
         return real_score(jax.grad(self.log_prob)(x, sigma))
+
+    def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
+        """E[object | annealed x] at level `sigma`, by Tweedie's formula x + s^2 score.
+
+        `shape`, dtype of `x`. For the gaussian perturbation: raises ValueError for another, unless
+        the prior knows better.
+        """
+        if self.perturbation != "gaussian":
+            raise ValueError(
+                f"the prior has the {self.perturbation!r} perturbation: Tweedie's formula is for "
+                "the gaussian one"
+            )
+        return tweedie(x, self.score(x, sigma), sigma)
 
     def _component_sd(self, sigma: jax.Array | float) -> jax.Array | float:
         """Standard deviation of the annealing error per real component (eq:part_complex)."""

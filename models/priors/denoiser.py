@@ -4,7 +4,9 @@ D(x, sigma) = m + c_skip (x - m) + c_out F(c_in (x - m), log s), with s the erro
 deviation per channel, m and d the mean and standard deviation of the training pictures, and
 c_skip = d^2/(s^2 + d^2), c_out = s d/sqrt(s^2 + d^2), c_in = 1/sqrt(s^2 + d^2): input, output and
 training target of F have unit variance at every level. For the signal-dependent error, whose
-standard deviation varies over the image, s is that at brightness m.
+standard deviation varies over the image, s is that at brightness m. For "poisson" all this is done
+to the square root of the counts, whose error is sigma/2 at every brightness (Anscombe), and the
+result is squared.
 """
 
 import dataclasses
@@ -48,13 +50,20 @@ class Statistics:
                 f"lowest value {self.lowest}: the signal perturbation needs a positive floor"
             )
 
+    @property
+    def root(self) -> tuple[float, float]:
+        """Mean and sd of the square root of a gamma variable of this mean and sd."""
+        shape = (self.mean / self.sd) ** 2
+        mean = math.exp(math.lgamma(shape + 0.5) - math.lgamma(shape)) * self.sd / self.mean**0.5
+        return mean, math.sqrt(self.mean - mean**2)
+
 
 class Denoiser(eqx.Module):
     """The clean image, from a perturbed one (h, w, channels) and its level sigma.
 
-    For "signal" it is the harmonic mean 1/E[1/x | x~] (perturbation.py), else E[x | x~]. The
-    former does not depend on the sign of x~, so the network sees |x~|. sigma is used as it is,
-    except that the network is told no level outside the trained ones.
+    For "signal" it is the harmonic mean 1/E[1/x | x~] (perturbation.py), which does not depend on
+    the sign of x~, so that the network sees |x~|; else E[x | x~]. sigma is used as it is, except
+    that the network is told no level outside the trained ones.
     """
 
     network: eqx.Module
@@ -63,25 +72,43 @@ class Denoiser(eqx.Module):
     def __call__(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """(h, w, channels) -> the same shape."""
         stats = self.statistics
-        s, variance = self.channel_sd(sigma), stats.sd**2
-        total = s**2 + variance
+        if stats.perturbation == "poisson":
+            # Three eighths of a count make the error of the root uniform down to a few counts.
+            root = jnp.sqrt(x + 0.375 * sigma**2)
+            return jnp.square(self._preconditioned(root, sigma, *stats.root))
         folded = jnp.abs(x) if stats.perturbation == "signal" else x
-        centred = folded - stats.mean
-        trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
-        level = jnp.log(self.channel_sd(trained) / stats.sd)
-        raw = self.network(centred / jnp.sqrt(total), level)
-        clean = stats.mean + variance / total * centred + s * stats.sd / jnp.sqrt(total) * raw
+        clean = self._preconditioned(folded, sigma, stats.mean, stats.sd)
         return jnp.maximum(clean, stats.lowest) if stats.perturbation == "signal" else clean
+
+    def _preconditioned(self, x: jax.Array, sigma: jax.Array, mean: float, sd: float) -> jax.Array:
+        stats = self.statistics
+        s, variance = self.channel_sd(sigma), sd**2
+        total = s**2 + variance
+        centred = x - mean
+        trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
+        level = jnp.log(self.channel_sd(trained) / sd)
+        raw = self.network(centred / jnp.sqrt(total), level)
+        return mean + variance / total * centred + s * sd / jnp.sqrt(total) * raw
 
     def loss_weight(self, sigma: jax.Array) -> jax.Array:
         """1/c_out^2: every level counts alike in the loss."""
-        s, variance = self.channel_sd(sigma), self.statistics.sd**2
+        s, variance = self.channel_sd(sigma), self.channel_spread**2
         weight = (s**2 + variance) / (s**2 * variance)
         return weight * self.statistics.mean if self.statistics.perturbation == "signal" else weight
 
-    def channel_sd(self, sigma: jax.Array | float) -> jax.Array:
-        """Standard deviation of the error per channel (at brightness `mean` for "signal")."""
+    @property
+    def channel_spread(self) -> float:
+        """Standard deviation of the clean channels, or of their roots for "poisson"."""
         stats = self.statistics
+        return stats.root[1] if stats.perturbation == "poisson" else stats.sd
+
+    def channel_sd(self, sigma: jax.Array | float) -> jax.Array:
+        """Standard deviation of the error per channel: at brightness `mean` for "signal", of the
+        square root for "poisson".
+        """
+        stats = self.statistics
+        if stats.perturbation == "poisson":
+            return sigma / 2
         if stats.perturbation == "signal":
             return sigma * stats.mean**0.5
         return component_sd(sigma, stats.complex_valued)

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 
 from ..annealing import component_sd
 from ..realview import normal_like
+from ..thinning import thickened
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
 from .layers import frozen
@@ -102,7 +103,8 @@ class LearnedPrior(Prior):
     def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
         """E[object | annealed x]; `shape`, dtype of `x`.
 
-        For "signal" the harmonic mean 1/E[1/object | x], which is what the score holds.
+        Of counts, x = sigma^2 N, the finest trained level is as fine as it knows. For "signal" the
+        harmonic mean 1/E[1/object | x], which is what the score holds.
         """
         channels, sigma = self._prepared(x, sigma)
         return self._to_object_like(self.channel_clean(channels, sigma), x)
@@ -112,10 +114,12 @@ class LearnedPrior(Prior):
 
         Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
         finest level. An approximation: the network, the finite steps, a start that is pure noise.
+        For "poisson" by thickening (models/thinning.py) from a few counts in the whole picture.
         Never below the pictures' least value. For "signal" no more than a look at the network: the
         harmonic mean stands in for the mean, and draws come out far too dark.
         """
-        return self._allowed(_flow_draw(self, key))
+        draw = _thickened_draw if self.perturbation == "poisson" else _flow_draw
+        return self._allowed(draw(self, key))
 
     def start(self, key: jax.Array) -> jax.Array:
         """Independent normal channels of the pictures' mean and sd, none below their least value.
@@ -276,3 +280,13 @@ def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
 
     x, _ = jax.lax.scan(advance, jnp.abs(x) if signal else x, (sigmas[:-1], sigmas[1:]))
     return prior.denoise(x, sigmas[-1])
+
+
+def _thickened_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
+    """From the broadest level, whose few counts are as if of an even light, to the finest."""
+    stats = prior.statistics
+    key_first, key_more = jax.random.split(key)
+    ends = stats.sigma_max, stats.sigma_min
+    sigmas = jnp.geomspace(*ends, prior.sampling_steps).astype(prior.dtype)
+    few = jax.random.poisson(key_first, stats.mean / stats.sigma_max**2, prior.shape)
+    return thickened(key_more, prior.denoise, few.astype(prior.dtype), sigmas)

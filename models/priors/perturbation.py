@@ -1,8 +1,9 @@
-"""The three perturbations a network can be trained on, each with its error, loss and score.
+"""The perturbations a network can be trained on, each with its error, loss and score.
 
 "gaussian", real:     x~ = x + e,          e ~ N(0, sigma^2)
 "gaussian", complex:  o~ = o + e,          Re e, Im e ~ N(0, sigma^2/4) each (eq:part_complex)
 "signal":             z = |x + sqrt(x) e|, e ~ N(0, sigma^2)                 (eq:defining_x_tilde)
+"poisson":            z = sigma^2 N,       N ~ Poisson(x/sigma^2)
 
 Everything here works on channels: real arrays (h, w, channels), a complex object being the two
 channels Re and Im. With s the standard deviation per channel, the score of the Gaussian ones is
@@ -21,6 +22,10 @@ The target of eq:DNN_poisson explodes where x is dark. Here the network predicts
 the harmonic mean, which the loss (D - x)^2/x finds: its minimum is where D E[1/x | z] = 1. The
 score is (tanh(z/sigma^2) - z/D)/sigma^2, the same one. A `floor` keeps 1/x finite: the prior learnt
 is that of max(x, floor), exactly, and D is never below the floor either.
+
+"poisson" is what the signal-dependent error approximates: the counts of an exposure of 1/sigma^2
+electrons at x = 1. It has the mean and the variance of "signal", and no score, being discrete;
+E[x | z], which a squared loss with any weight of z alone finds, is all that `thinning` needs.
 """
 
 import jax
@@ -28,22 +33,22 @@ import jax.numpy as jnp
 
 from ..annealing import component_sd
 
-PERTURBATIONS = ("gaussian", "signal")
+PERTURBATIONS = ("gaussian", "signal", "poisson")
 
 
 def check_perturbation(name: str, complex_valued: bool) -> None:
     """Refuse a perturbation that does not exist, or not for complex objects."""
     if name not in PERTURBATIONS:
         raise ValueError(f"unknown perturbation {name!r}: use {' or '.join(PERTURBATIONS)}")
-    if name == "signal" and complex_valued:
-        raise ValueError("the signal perturbation is for real objects: use 'gaussian' for complex")
+    if name != "gaussian" and complex_valued:
+        raise ValueError(f"the {name} perturbation is for real objects: use 'gaussian' for complex")
 
 
 def error_sd(
     x: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
 ) -> jax.Array | float:
     """Standard deviation of the error on each channel of the clean `x`, before any fold."""
-    if perturbation == "signal":
+    if perturbation != "gaussian":
         return sigma * jnp.sqrt(x)
     return component_sd(sigma, complex_valued)
 
@@ -51,7 +56,9 @@ def error_sd(
 def perturbed(
     key: jax.Array, clean: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
 ) -> jax.Array:
-    """One draw of the annealed variable from the clean channels; never negative for "signal"."""
+    """One draw of the annealed variable from the clean channels; negative for "gaussian" alone."""
+    if perturbation == "poisson":
+        return sigma**2 * jax.random.poisson(key, clean / sigma**2).astype(clean.dtype)
     sd = error_sd(clean, sigma, perturbation, complex_valued)
     x = clean + sd * jax.random.normal(key, clean.shape, clean.dtype)
     return jnp.abs(x) if perturbation == "signal" else x
@@ -78,7 +85,12 @@ def folded_energy(z: jax.Array, clean: jax.Array, sigma: jax.Array) -> jax.Array
 def score_from_denoised(
     x: jax.Array, denoised: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
 ) -> jax.Array:
-    """Score at the perturbed `x`, from what the network says of the clean one."""
+    """Score at the perturbed `x`, from what the network says of the clean one; none of counts."""
+    if perturbation == "poisson":
+        raise ValueError(
+            "counts have no score (the poisson perturbation is discrete): use the sampler "
+            "Thickening, or a prior with the gaussian perturbation"
+        )
     if perturbation == "signal":
         return folded_score(x, denoised, sigma)
     return (denoised - x) / component_sd(sigma, complex_valued) ** 2
@@ -88,6 +100,18 @@ def denoising_loss(denoised: jax.Array, clean: jax.Array, perturbation: str) -> 
     """Mean squared error; over the clean value for "signal" (`clean` at or above the floor)."""
     error = jnp.square(denoised - clean)
     return jnp.mean(error / clean) if perturbation == "signal" else jnp.mean(error)
+
+
+def count_loss(
+    denoised: jax.Array, clean: jax.Array, z: jax.Array, sigma: jax.Array, mean: float
+) -> jax.Array:
+    """Mean squared error over 4 z, as of square roots: E[clean | z] minimises it.
+
+    The weight has a floor between sigma^2, one count, and the pictures' mean. It depends on the
+    perturbed z alone: one that looked at the clean picture would move the minimum.
+    """
+    floor = sigma**2 * mean / (sigma**2 + mean)
+    return jnp.mean(jnp.square(denoised - clean) / (4 * (z + floor)))
 
 
 def signal_score_loss(

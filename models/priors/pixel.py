@@ -19,10 +19,11 @@ class PixelPrior(Prior):
     `grid` (m,), increasing, not negative; `density` (m,), not negative, normalised here. Between
     grid points the density is linear; outside it is zero. Real objects only.
 
-    The annealed variable is the signal-dependent one, folded at zero: |x + sqrt(x) e| with
+    `perturbation` "signal": the annealed variable is folded at zero, |x + sqrt(x) e| with
     e ~ N(0, sigma^2) (eq:defining_x_tilde). Its density and score (eq:true_p, perturbation.py) are
     quadratures of the trapezoid rule, in a variable that fits the kernel's width at every sigma.
-    Raises ValueError on a grid or density that is no density.
+    "poisson": it is sigma^2 N, N ~ Poisson(x/sigma^2), which has no score; `denoise` is a
+    quadrature on the grid. Raises ValueError on a grid or density that is no density.
     """
 
     grid: jax.Array
@@ -31,7 +32,13 @@ class PixelPrior(Prior):
     complex_valued: bool = eqx.field(static=True, default=False)
     perturbation: str = eqx.field(static=True, default="signal")
 
-    def __init__(self, grid: np.ndarray, density: np.ndarray, shape: tuple[int, ...]):
+    def __init__(
+        self,
+        grid: np.ndarray,
+        density: np.ndarray,
+        shape: tuple[int, ...],
+        perturbation: str = "signal",
+    ):
         grid, density = np.asarray(grid, dtype=float), np.asarray(density, dtype=float)
         check_finite(grid=grid, density=density)
         if grid.ndim != 1 or grid.size < 2 or density.shape != grid.shape:
@@ -50,18 +57,25 @@ class PixelPrior(Prior):
         self.density = jnp.asarray(density / np.trapezoid(density, grid))
         self.shape = checked_shape(shape)
         self.complex_valued = False
-        self.perturbation = "signal"
+        if perturbation not in ("signal", "poisson"):
+            raise ValueError(f"perturbation {perturbation!r}: use 'signal' or 'poisson'")
+        self.perturbation = perturbation
 
     @classmethod
     def gamma(
-        cls, concentration: float, rate: float, shape: tuple[int, ...], nodes: int = 4001
+        cls,
+        concentration: float,
+        rate: float,
+        shape: tuple[int, ...],
+        nodes: int = 4001,
+        perturbation: str = "signal",
     ) -> "PixelPrior":
         """Gamma density, conjugate to Poisson counts; tabulated to its 1e-10 quantiles."""
         distribution = scipy.stats.gamma(concentration, scale=1 / rate)
         lowest = 0.0 if concentration > 1 else distribution.ppf(1e-6)
         # Equal steps of sqrt(x) follow the density where it bends most, near zero.
         grid = np.linspace(np.sqrt(lowest), np.sqrt(distribution.isf(1e-10)), nodes) ** 2
-        return cls(grid, distribution.pdf(grid), shape)
+        return cls(grid, distribution.pdf(grid), shape, perturbation)
 
     @property
     def scale(self) -> jax.Array:
@@ -89,6 +103,9 @@ class PixelPrior(Prior):
         At sigma > 0 that of the folded variable, normalised over x >= 0.
         """
         self._to_vector(x)
+        if self.perturbation == "poisson":
+            _refuse_level(sigma)
+            return jnp.sum(self._log_density(x))
         sigma = jnp.asarray(sigma, x.dtype)
         return jnp.sum(
             jax.lax.cond(
@@ -104,12 +121,32 @@ class PixelPrior(Prior):
         The density's own slope at sigma = 0; odd in `x`, which is of no use below zero.
         """
         self._to_vector(x)
+        if self.perturbation == "poisson":
+            _refuse_level(sigma)
+            return self._own_score(x)
         sigma = jnp.asarray(sigma, x.dtype)
         return jax.lax.cond(
             sigma > 0,
             lambda: self._annealed(x, jnp.where(sigma > 0, sigma, 1.0))[1],
-            lambda: self._slope(x) / jnp.maximum(self._density(x), jnp.finfo(x.dtype).tiny),
+            lambda: self._own_score(x),
         )
+
+    def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
+        """E[object | counts x/sigma^2], for "poisson": the trapezoid rule on the grid.
+
+        Raises ValueError for "signal".
+        """
+        if self.perturbation != "poisson":
+            return super().denoise(x, sigma)
+        self._to_vector(x)
+        counts, grid = x[..., None] / sigma**2, self.grid.astype(x.dtype)
+        width = (jnp.diff(grid, prepend=grid[0]) + jnp.diff(grid, append=grid[-1])) / 2
+        log_weight = jax.scipy.special.xlogy(counts, grid) - grid / sigma**2
+        weight = jax.nn.softmax(log_weight + jnp.log(width * self.density), axis=-1)
+        return jnp.sum(weight * grid, axis=-1)
+
+    def _own_score(self, x: jax.Array) -> jax.Array:
+        return self._slope(x) / jnp.maximum(self._density(x), jnp.finfo(x.dtype).tiny)
 
     def _density(self, x: jax.Array) -> jax.Array:
         return jnp.interp(x, self.grid, self.density, left=0.0, right=0.0)
@@ -152,3 +189,11 @@ class PixelPrior(Prior):
         score = sign * (unfolded - 2 * jax.nn.sigmoid(-2 * x / sigma**2)) / sigma**2
         log_density = log_sum + log_norm + jax.nn.softplus(-2 * x / sigma**2)
         return jnp.where(negative, -jnp.inf, log_density), score
+
+
+def _refuse_level(sigma: jax.Array | float) -> None:
+    if isinstance(sigma, jax.core.Tracer) or sigma != 0:
+        raise ValueError(
+            "counts have no score (the poisson perturbation is discrete): use the sampler "
+            "Thickening, or a prior with another perturbation"
+        )

@@ -14,7 +14,7 @@ import optax
 
 from .denoiser import Denoiser
 from .learned import energy
-from .perturbation import denoising_loss, perturbed, signal_score_loss
+from .perturbation import count_loss, denoising_loss, perturbed, signal_score_loss
 from .pictures import Pictures
 
 KINDS = ("score", "energy")
@@ -127,6 +127,8 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     sigma = random_level(key_level, denoiser)
     x = perturbed(key_error, clean, sigma, stats.perturbation, stats.complex_valued)
     weight = denoiser.loss_weight(sigma)
+    if stats.perturbation == "poisson":
+        return weight * count_loss(denoiser(x, sigma), clean, x, sigma, stats.mean)
     if recipe.kind == "score":
         return weight * denoising_loss(denoiser(x, sigma), clean, stats.perturbation)
     score = -jax.grad(energy, argnums=1)(denoiser, x, sigma)
@@ -142,7 +144,7 @@ def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:
     stats = denoiser.statistics
     key_kind, key_near, key_even = jax.random.split(key, 3)
     low, high = jnp.log(stats.sigma_min), jnp.log(stats.sigma_max)
-    centre = jnp.log(_CENTRE * stats.sd / denoiser.channel_sd(1.0))
+    centre = jnp.log(_CENTRE * denoiser.channel_spread / denoiser.channel_sd(1.0))
     near = jnp.clip(centre + _SPREAD * jax.random.normal(key_near), low, high)
     even = jax.random.uniform(key_even, minval=low, maxval=high)
     return jnp.exp(jnp.where(jax.random.bernoulli(key_kind, _EVEN), even, near))

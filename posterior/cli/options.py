@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.priors.storage import shipped_names
-from ..presets import APPLICATIONS, SAMPLERS, is_trained, weights_card
+from ..presets import APPLICATIONS, SAMPLERS, best_sampler, is_trained, weights_card
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
@@ -52,7 +52,7 @@ class Options:
     def resolved(self) -> "Options":
         """With the defaults of problem and sampler filled in; refuses what cannot go together."""
         application = _known("problem", self.problem, APPLICATIONS)
-        name = self.sampler or ("annealed" if is_trained(self.prior) else application.sampler)
+        name = self.sampler or best_sampler(self.problem, self.prior)
         sampling = _known("sampler", name, SAMPLERS)
         if (self.image is None) == (self.data is None):
             raise ValueError("give either --image (a picture to record) or --data (a recording)")
@@ -61,7 +61,7 @@ class Options:
         for option, (least, most) in _RANGES.items():
             _check_range(option, getattr(self, option), least, most)
         if is_trained(self.prior):
-            weights_card(self.prior, sampling.density)
+            weights_card(self.prior, sampling.needs)
         simulated = self.image is not None
         return dataclasses.replace(
             self,

@@ -64,7 +64,7 @@ def run(
         "sampler": draws.settings["sampler"],
         "warmup": draws.settings["warmup"],
         "results": summary.results,
-        "warnings": doubts(summary.results, options.sampler),
+        "warnings": doubts(summary.results, options.sampler, _card(options)),
         "seconds": round(time.perf_counter() - began, 1),
         "versions": versions(),
     }
@@ -86,10 +86,17 @@ def _question(options: Options, key: jax.Array) -> Question:
     picture = read_picture(options.image or options.data, options.page)
     given = {
         name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
-    } | {"density": SAMPLERS[options.sampler].density}
+    } | {"needs": SAMPLERS[options.sampler].needs}
     if options.data is not None:
         return presets.record(options.problem, picture, camera, **given)
     return presets.simulate(options.problem, picture, camera, key, **given)
+
+
+def _card(options: Options) -> dict[str, Any] | None:
+    """The model card of the prior, if that is trained weights."""
+    if not presets.is_trained(options.prior):
+        return None
+    return presets.weights_card(options.prior, SAMPLERS[options.sampler].needs)
 
 
 def _refuse_changed(earlier: dict[str, Any] | None, digest: str, question: Question) -> None:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ..models.priors.denoiser import Denoiser, Statistics
 from ..models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
-from ..models.priors.perturbation import check_perturbation
+from ..models.priors.perturbation import PERTURBATIONS, check_perturbation
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from ..models.priors.training import Recipe
 from ..train import (
@@ -27,7 +27,7 @@ from ..train import (
     statistics_of,
     train,
 )
-from ..training_report import PATCHES, central_patches, denoising, write_report
+from ..training_report import PATCHES, calibration, central_patches, denoising, write_report
 
 
 def command(
@@ -35,7 +35,9 @@ def command(
     data: Annotated[
         Path | None, typer.Option(help="Folder of pictures; may be one inside POSTERIOR_DATA.")
     ] = None,
-    perturbation: Annotated[str, typer.Option(help="gaussian, or signal.")] = "gaussian",
+    perturbation: Annotated[
+        str, typer.Option(help=f"One of {', '.join(PERTURBATIONS)}.")
+    ] = "gaussian",
     kind: Annotated[str, typer.Option(help="score, or energy.")] = "score",
     objects: Annotated[str, typer.Option(help=f"One of {', '.join(OBJECTS)}.")] = "grey",
     percentile: Annotated[
@@ -63,6 +65,8 @@ def command(
     """Train a prior on a folder of pictures; the same command goes on where it was stopped."""
     command = _command(locals())
     check_perturbation(perturbation, objects == "complex")
+    if perturbation == "poisson" and kind == "energy":
+        raise ValueError("--kind energy: counts have no density to learn, use --kind score")
     how = Preparation(
         objects, percentile, floor if perturbation == "signal" else 0.0, group, validation, test
     )
@@ -82,7 +86,9 @@ def command(
     denoiser, losses, seconds = _with_progress(
         Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
     )
-    prior, table = _validated(denoiser, kind, [prepare(files[n], how) for n in split.validation])
+    prior, validation = _validated(
+        denoiser, kind, [prepare(files[n], how) for n in split.validation]
+    )
     card = {
         "name": _stem(out).name,
         "kind": kind,
@@ -105,22 +111,26 @@ def command(
             "device": _device(),
             "final_loss": round(float(np.mean(losses[-max(1, steps // 20) :])), 4),
         },
-        "validation": {"denoising_psnr_db": table, "patches": PATCHES},
+        "validation": validation,
         "limits": _limits(statistics, size),
     }
     save_weights(f"{_stem(out)}.safetensors", denoiser, card)
+    table = validation["denoising_psnr_db"]
     write_report(Path(f"{_stem(out)}.training"), prior, losses, table, seed)
 
 
 def _validated(
     denoiser: Denoiser, kind: str, pictures: list[np.ndarray]
-) -> tuple[LearnedPrior, dict[str, dict[str, float | None]]]:
-    """The prior for patches, and how it denoises pictures that it was not trained on."""
+) -> tuple[LearnedPrior, dict[str, Any]]:
+    """The prior for patches, and what it is worth on pictures that it was not trained on."""
     patches = central_patches(pictures, denoiser.network.stride)
     colour = denoiser.network.channels == 3
     shape = patches.shape[1:] if colour else patches.shape[1:3]
     prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
-    return prior, denoising(prior, patches)
+    found = {"denoising_psnr_db": denoising(prior, patches), "patches": PATCHES}
+    if prior.perturbation == "poisson":
+        found["calibration"] = calibration(prior, patches)
+    return prior, found
 
 
 def _limits(statistics: Statistics, size: int) -> list[str]:

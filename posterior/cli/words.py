@@ -35,9 +35,11 @@ def findings(results: dict[str, float]) -> list[str]:
     return said
 
 
-def doubts(results: dict[str, float], sampler: str) -> list[str]:
-    """What stands against believing the intervals."""
-    said = []
+def doubts(
+    results: dict[str, float], sampler: str, card: dict[str, Any] | None = None
+) -> list[str]:
+    """What stands against believing the intervals; `card` of the weights, if the prior is one."""
+    said = [] if card is None else [_learnt(card)]
     if "rhat" not in results:
         said.append(
             "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4"
@@ -63,6 +65,23 @@ def doubts(results: dict[str, float], sampler: str) -> list[str]:
                 "the chains have not mixed"
             )
     return said
+
+
+def _learnt(card: dict[str, Any]) -> str:
+    """What the intervals of a learnt prior are known to be worth."""
+    said = [
+        f"{100 * found['inside']:.0f} % for {100 * found['nominal']:.0f} % at full well {well}"
+        for well, found in card["validation"].get("calibration", {}).items()
+    ]
+    if not said:
+        return (
+            "the prior is learnt, and its card holds no calibration: check its intervals on "
+            "pictures whose truth is known"
+        )
+    return (
+        "the prior is learnt: on pictures like its own that were held out its intervals held the "
+        f"truth in {', '.join(said)} of the pixels; of other pictures nothing is known"
+    )
 
 
 def headline(settings: dict[str, Any]) -> str:

@@ -1,24 +1,27 @@
-"""The posterior mean of a picture under Gaussian noise, straight from the prior's score.
+"""The posterior mean of a picture under Gaussian noise or counting, straight from the prior.
 
-Miyasawa's and Tweedie's formula: a picture with Gaussian noise is the annealed variable itself, at
-the level of that noise, so E[x | y] = y + s^2 score(y), s^2 the variance per real component.
-With a network it is the MMSE denoiser that the paper compares with; draws must average to it.
+A picture with Gaussian noise is the annealed variable itself, at the level of that noise, so
+E[x | y] = y + s^2 score(y), s^2 the variance per real component (Miyasawa, Tweedie). Counts are
+that of the poisson perturbation, whose prior is its denoiser. With a network it is the MMSE
+denoiser that the paper compares with; draws must average to it.
 """
 
 import jax
 import jax.numpy as jnp
 
-from ..models.camera import Gaussian
+from ..models.camera import Gaussian, Poisson
 from ..models.likelihood import LinearLikelihood
 from ..models.optics import Identity
 from ..problem import Posterior
 
 
 def mmse(posterior: Posterior) -> jax.Array:
-    """E[x | y], shape and dtype of the object, for y = x + Gaussian noise.
+    """E[x | y], shape and dtype of the object, for y = x + Gaussian noise, or counts of x.
 
-    Exact for an analytic prior, and as good as its network for a learned one. The noise has the
-    camera's sigma per real component, the level 2 sigma for a complex object (eq:part_complex).
+    Exact for an analytic prior, and as good as its network for a learned one. Gaussian noise has
+    the camera's sigma per real component, the level 2 sigma for a complex object (eq:part_complex).
+    Counts need a Poisson camera and a prior with the poisson perturbation; where the ADC or the
+    full well hides the count, the least possible one is taken, and the estimate is too dark.
     Raises ValueError for other optics, other cameras, or a prior with another perturbation.
     """
     likelihood, prior = posterior.likelihood, posterior.prior
@@ -27,16 +30,21 @@ def mmse(posterior: Posterior) -> jax.Array:
             "the MMSE estimate is for the picture itself: use LinearLikelihood with Identity "
             "optics, or the mean of draws"
         )
-    if not isinstance(likelihood.camera, Gaussian):
+    needed = {Gaussian: "gaussian", Poisson: "poisson"}.get(type(likelihood.camera))
+    if needed is None:
         raise ValueError(
-            f"camera {type(likelihood.camera).__name__}: the MMSE estimate is for Gaussian noise, "
-            "use the mean of draws"
+            f"camera {type(likelihood.camera).__name__}: the MMSE estimate is for Gaussian noise "
+            "or counts (Gaussian, Poisson), use the mean of draws"
         )
-    if prior.perturbation != "gaussian":
+    if prior.perturbation != needed:
         raise ValueError(
-            f"the prior has the {prior.perturbation!r} perturbation: give one with the gaussian"
+            f"the prior has the {prior.perturbation!r} perturbation: give one with the {needed}"
         )
+    if needed == "poisson":
+        sigma = likelihood.camera.sigma0
+        counts, _ = likelihood.camera.electrons_between(posterior.y.astype(prior.dtype))
+        return prior.denoise(counts * sigma**2, sigma)
     sigma = likelihood.camera.sigma
     y = posterior.y.astype(prior.dtype)
     level = jnp.asarray(2 * sigma if prior.complex_valued else sigma, y.real.dtype)
-    return y + sigma**2 * prior.score(y, level)
+    return prior.denoise(y, level)

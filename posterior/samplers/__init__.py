@@ -9,4 +9,5 @@ from .kawar import Kawar
 from .mala import MALA
 from .smc import TemperedSMC
 from .split_gibbs import SplitGibbs
+from .thickening import Thickening
 from .ula import ULA

@@ -6,11 +6,12 @@ from .base import Sampler
 
 def check_gaussian(sampler: Sampler, posterior: Posterior) -> None:
     """Refuse a prior whose annealing error is not the Gaussian one."""
-    if posterior.prior.perturbation != "gaussian":
+    perturbation = posterior.prior.perturbation
+    if perturbation != "gaussian":
+        others = {"signal": "MALA, or AnnealedLangevin without a descent", "poisson": "Thickening"}
         raise ValueError(
-            f"the prior has the {posterior.prior.perturbation!r} perturbation: "
-            f"give {type(sampler).__name__} one with the gaussian, or use MALA, or "
-            "AnnealedLangevin without a descent"
+            f"the prior has the {perturbation!r} perturbation: give {type(sampler).__name__} one "
+            f"with the gaussian, or use {others[perturbation]}"
         )
 
 

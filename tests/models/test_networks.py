@@ -122,7 +122,7 @@ def test_bad_networks_are_refused(change, words):
 @pytest.mark.parametrize(
     "change, words",
     [
-        ({"perturbation": "poisson"}, "unknown perturbation"),
+        ({"perturbation": "laplace"}, "unknown perturbation"),
         ({"perturbation": "signal", "complex_valued": True}, "for real objects"),
         ({"perturbation": "signal", "lowest": 0.0}, "positive floor"),
         ({"sigma_min": 2.0}, "positive and grow"),

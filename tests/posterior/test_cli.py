@@ -12,13 +12,13 @@ from PIL import Image
 
 import posterior as ps
 from posterior import cli, models, presets
+from posterior.cli.words import doubts
 from posterior.images import read_picture
 from posterior.models.priors.storage import FOLDER
 
 RNG = np.random.default_rng(1)
 SMALL = ["--draws", "6", "--warmup", "12", "--thin", "1", "--quiet"]
 LEARNED = [
-    ("denoising", "nuclei"),
     ("denoising", "cells"),
     ("phase-retrieval", "natural"),
     ("ptychography", "complex-cells"),
@@ -267,14 +267,21 @@ def test_the_aperture_grid_fits_and_overlaps(size):
     assert overlap == pytest.approx(0.6, abs=0.01)
 
 
-@pytest.mark.parametrize("density, kind", [(False, models.ScorePrior), (True, models.EnergyPrior)])
-def test_named_weights_are_an_energy_where_a_density_is_needed(density, kind):
+@pytest.mark.parametrize(
+    "needs, sampler, kind",
+    [
+        ("score", "ula", models.ScorePrior),
+        ("density", "nuts", models.EnergyPrior),
+        ("counts", "thickening", models.ScorePrior),
+    ],
+)
+def test_named_weights_are_those_that_the_sampler_needs(needs, sampler, kind):
     picture = (255 * _smooth(24)).astype(np.uint8)
     camera, key = models.Poisson(100), jax.random.key(0)
-    settings = {"size": 16, "prior": "nuclei", "density": density}
+    settings = {"size": 16, "prior": "nuclei", "needs": needs}
     question = presets.simulate("denoising", picture, camera, key, **settings)
     assert isinstance(question.problem.prior, kind)
-    sampler = "nuts" if density else "ula"
+    assert presets.SAMPLERS[sampler].needs == needs
     presets.SAMPLERS[sampler].build(question.problem.condition(question.y))
 
 
@@ -285,6 +292,20 @@ def test_a_trained_prior_serves_each_application(problem, prior, folder, tmp_pat
     assert _main("sample", problem, *arguments, "--size", 16, *SMALL, "--chains", 1) == 0
     assert "annealed is approximate" in capsys.readouterr().out
     assert np.all(np.isfinite(ps.load(tmp_path / "run" / "draws.nc").values))
+
+
+def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder, tmp_path, capsys):
+    arguments = ("--image", folder / "picture.png", "--prior", "nuclei", "--out", tmp_path / "run")
+    assert _main("sample", "denoising", *arguments, "--size", 16, "--draws", 2) == 0
+    said = capsys.readouterr().out
+    assert "held out its intervals held the truth in" in said.replace("\n", " ")
+    settings = json.loads((tmp_path / "run" / "settings.json").read_text())
+    assert settings["sampler"].startswith("Thickening")
+
+
+def test_a_prior_without_a_calibration_is_told_as_such():
+    (said,) = doubts({"rhat": 1.0}, "mala", {"validation": {}})
+    assert "holds no calibration" in said
 
 
 # ---- refusals ------------------------------------------------------------------------------------
@@ -330,7 +351,11 @@ def _refused(capsys, *arguments, problem="denoising"):
         (["--image", "{}/picture.png", "--prior", "{}/picture.png"], "give a prior of others"),
         (
             ["--image", "{}/picture.png", "--prior", NUCLEI] + ["--sampler", "mala"],
-            "a score without a density: use --sampler annealed",
+            "needs a density: use --sampler annealed",
+        ),
+        (
+            ["--image", "{}/picture.png", "--prior", NUCLEI] + ["--sampler", "thickening"],
+            "needs a denoiser of counts: use --sampler annealed",
         ),
         (["--image", "{}/picture.png", "--sampler", "ensemble"], "use samplers.MALA"),
         (["--image", "{}/truncated.png"], "damaged or truncated"),

@@ -259,6 +259,31 @@ def test_report_measures_against_block_matching(perturbation):
     assert row["bm3d"] > row["noisy"] + 4
 
 
+def test_counts_are_reported_with_their_calibration(command, folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(training_report, "_bm3d", lambda *_: None)
+    result = command("--data", folder, "--perturbation", "poisson", "--out", tmp_path / "c", *TINY)
+    assert result.exit_code == 0, result.exception
+    card = json.loads((tmp_path / "c.json").read_text())
+    assert set(card["validation"]["calibration"]) == {"100", "25"}
+    assert card["validation"]["calibration"]["25"]["nominal"] == 0.882
+    drawn = ScorePrior.load(tmp_path / "c.safetensors", (16, 16), "poisson").sample(
+        jax.random.key(0)
+    )
+    assert np.all(np.isfinite(drawn)) and drawn.min() >= 0
+
+
+def test_calibration_knows_true_draws_from_narrow_ones():
+    rng = np.random.default_rng(0)
+    centre, noise = rng.standard_normal((200, 1, 8, 8)), rng.standard_normal((200, 17, 8, 8))
+    exact = training_report._spread_and_coverage((centre + noise)[:, 1:], (centre + noise)[:, 0])
+    assert abs(exact["spread_over_error"] - 1) < 0.02
+    assert abs(exact["inside"] - exact["nominal"]) < 0.01
+    narrow = training_report._spread_and_coverage(
+        (centre + 0.8 * noise)[:, 1:], (centre + noise)[:, 0]
+    )
+    assert narrow["spread_over_error"] < 0.85 and narrow["inside"] < exact["nominal"] - 0.05
+
+
 def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monkeypatch):
     monkeypatch.setenv("POSTERIOR_DATA", str(tmp_path))
     assert _data_folder(Path("pictures")) == folder
@@ -268,7 +293,8 @@ def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monk
 @pytest.mark.parametrize(
     "options, words",
     [
-        (("--perturbation", "poisson"), "unknown perturbation"),
+        (("--perturbation", "laplace"), "unknown perturbation"),
+        (("--perturbation", "poisson", "--kind", "energy"), "counts have no density"),
         (("--kind", "flow"), "unknown kind"),
         (("--objects", "video"), "unknown objects"),
         (("--size", 10), "multiples of 4"),
