@@ -80,7 +80,7 @@ def calibration(
             key = jax.random.fold_in(jax.random.key(seed), i)
             y = camera.sample(key, jnp.asarray(picture))
             settings = {"chains": RANKED, "draws": 1, "progress": False}
-            run = sample(problem.condition(y), Thickening(levels=48), key, **settings)
+            run = sample(problem.condition(y), Thickening(), key, **settings)
             draws.append(run.values[:, 0])
         found[str(full_well)] = _spread_and_coverage(np.stack(draws), truth)
     return found

@@ -10,6 +10,11 @@ import matplotlib.pyplot as plt
 import pytest
 
 TUTORIALS = sorted((Path(__file__).parents[1] / "tutorials").glob("*.py"))
+# Those with networks take minutes: the study runs them.
+RUNS = [
+    pytest.param(path, marks=[] if path.stem.startswith("01") else [pytest.mark.slow])
+    for path in TUTORIALS
+]
 
 
 @pytest.fixture
@@ -47,7 +52,7 @@ def test_tutorial_is_a_notebook_that_checks_its_claims(tutorial):
     assert kind == "code" and re.search(r"^assert ", last, flags=re.MULTILINE)
 
 
-@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("tutorial", RUNS, ids=lambda path: path.stem)
 def test_tutorial_runs_and_draws_its_figures(tutorial, headless, capsys):
     runpy.run_path(str(tutorial), run_name="__main__")
     assert capsys.readouterr().out

@@ -60,7 +60,7 @@ class Thickening(RunSampler):
     for other optics, cameras and priors.
     """
 
-    levels: int = eqx.field(static=True, default=64)
+    levels: int = eqx.field(static=True, default=48)
     sigma_min: float | None = None
 
     shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "sigmas")

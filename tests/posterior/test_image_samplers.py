@@ -126,7 +126,8 @@ def test_a_coupling_as_large_as_the_noise_draws_what_it_says_and_not_the_posteri
         check_law(values, mean, covariance)
 
 
-@pytest.mark.parametrize("dtype", [float, pytest.param(complex, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [float, complex])
 def test_a_descent_draws_the_object_under_a_broadened_likelihood(x64, dtype):
     """Ended at a level as large as the noise: twice it in the likelihood of x~ ("convolved"), and
     once more from x~ to x, three times the variance in all. Without the descent, x~ itself."""
