@@ -29,7 +29,7 @@ from ..thinning import thickened
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
 from .layers import frozen
-from .perturbation import folded_energy, score_from_denoised
+from .perturbation import folded_energy, refuse_counts, score_from_denoised
 
 
 class LearnedPrior(Prior):
@@ -97,6 +97,7 @@ class LearnedPrior(Prior):
 
     def score(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Gradient of the log-density of the annealed variable, as an object: d/dRe + j d/dIm."""
+        refuse_counts(self.perturbation)
         channels, sigma = self._prepared(x, sigma)
         return self._to_object_like(self.channel_score(channels, sigma), x)
 
@@ -159,8 +160,9 @@ class ScorePrior(LearnedPrior):
 
     `ScorePrior.load("nuclei", (64, 64))` gives one that comes with the project. The score is
     (D - x)/s^2, s the error's standard deviation per real component (eq:denoiser_complex), or
-    (tanh(x/sigma^2) - x/D)/sigma^2 for the signal-dependent error (eq:true_p, folded). Raises
-    ValueError if `shape` does not suit the network.
+    (tanh(x/sigma^2) - x/D)/sigma^2 for the signal-dependent error (eq:true_p, folded). Of counts
+    there is the denoiser D alone, which Thickening takes. Raises ValueError if `shape` does not
+    suit the network.
     """
 
     kind: ClassVar[str] = "score"
@@ -176,6 +178,7 @@ class ScorePrior(LearnedPrior):
 
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Refuses: a score network has no density."""
+        refuse_counts(self.perturbation)
         raise ValueError(
             "a ScorePrior has no density: use a sampler that needs the score alone "
             "(AnnealedLangevin, ULA), or an EnergyPrior"
@@ -192,6 +195,10 @@ class EnergyPrior(LearnedPrior):
     """
 
     kind: ClassVar[str] = "energy"
+
+    def __check_init__(self):
+        if self.perturbation == "poisson":
+            raise ValueError("counts have no density: load these weights as a ScorePrior")
 
     def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """From the score, by Tweedie's formula."""

@@ -36,6 +36,15 @@ from ..annealing import component_sd
 PERTURBATIONS = ("gaussian", "signal", "poisson")
 
 
+def refuse_counts(perturbation: str) -> None:
+    """Refuse to give the score or the density of a discrete variable."""
+    if perturbation == "poisson":
+        raise ValueError(
+            "counts have no score (the poisson perturbation is discrete): use the sampler "
+            "Thickening, or a prior with the gaussian perturbation"
+        )
+
+
 def check_perturbation(name: str, complex_valued: bool) -> None:
     """Refuse a perturbation that does not exist, or not for complex objects."""
     if name not in PERTURBATIONS:
@@ -86,11 +95,6 @@ def score_from_denoised(
     x: jax.Array, denoised: jax.Array, sigma: jax.Array, perturbation: str, complex_valued: bool
 ) -> jax.Array:
     """Score at the perturbed `x`, from what the network says of the clean one; none of counts."""
-    if perturbation == "poisson":
-        raise ValueError(
-            "counts have no score (the poisson perturbation is discrete): use the sampler "
-            "Thickening, or a prior with the gaussian perturbation"
-        )
     if perturbation == "signal":
         return folded_score(x, denoised, sigma)
     return (denoised - x) / component_sd(sigma, complex_valued) ** 2

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.stats
 
 from .base import Prior, check_finite, checked_shape
+from .perturbation import refuse_counts
 
 # Half-width of the quadrature in standard deviations of the annealing error.
 _REACH = 8.0
@@ -193,7 +194,4 @@ class PixelPrior(Prior):
 
 def _refuse_level(sigma: jax.Array | float) -> None:
     if isinstance(sigma, jax.core.Tracer) or sigma != 0:
-        raise ValueError(
-            "counts have no score (the poisson perturbation is discrete): use the sampler "
-            "Thickening, or a prior with another perturbation"
-        )
+        refuse_counts("poisson")

@@ -344,6 +344,16 @@ def test_signal_draws_are_positive_and_finite():
 # ---- what is refused -----------------------------------------------------------------------------
 
 
+def test_counts_have_neither_score_nor_density():
+    denoiser = silent(perturbation="poisson", lowest=0.0)
+    prior = ScorePrior(denoiser, (4, 4))
+    for refused in (prior.log_prob, lambda x: prior.score(x, 0.1)):
+        with pytest.raises(ValueError, match="counts have no score"):
+            refused(jnp.ones((4, 4)))
+    with pytest.raises(ValueError, match="counts have no density"):
+        EnergyPrior(denoiser, (4, 4))
+
+
 def test_score_prior_has_no_density():
     prior = ScorePrior(wiener(dtype="float32"), SHAPE)
     with pytest.raises(ValueError, match="has no density"):
