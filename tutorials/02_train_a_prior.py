@@ -94,7 +94,7 @@ def smoothed(share):
 
 
 classical = max((smoothed(share) for share in (0.5, 0.75, 1, 1.5, 2)), key=psnr)
-learnt = np.asarray(jax.jit(prior.denoise)(y, camera.sigma0))
+learnt = np.asarray(jax.jit(lambda y: prior.denoise(y, camera.sigma0))(y))
 print(f"{psnr(y):.1f} dB; total variation {psnr(classical):.1f}, network {psnr(learnt):.1f}")
 
 # %% [markdown]
@@ -133,7 +133,8 @@ figure.savefig("02_denoised.png", dpi=120)
 # ## What five minutes do not buy
 #
 # Draws of the prior alone, from no recording at all, show what the network believes pictures to
-# be: smooth patches and edges, and nothing that you could name. It is a prior for the small scale.
+# be: smooth patches, textures, edges, and nothing that you could name. It is a prior for the small
+# scale.
 # Where a recording says little, that is not enough; train longer, on more pictures, of what you
 # look at.
 

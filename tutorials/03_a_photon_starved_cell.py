@@ -97,8 +97,8 @@ print(f"recording {psnr(y):.1f} dB, one draw {psnr(found[0]):.1f}, mean {psnr(fo
 
 # %% [markdown]
 # A draw looks like a picture; the mean is closer to the truth than any draw, and smoother than a
-# picture ever is. The standard deviation tells where draws disagree: along the rims, and where the
-# light is strong.
+# picture ever is. The standard deviation tells where draws disagree: where the light is strong, and
+# its noise with it, and along the rims.
 
 # %%
 panels = {
@@ -169,31 +169,17 @@ for seed in range(100, 116):
     for name, values in asked.items():
         inside[name].append(np.mean((values.min(0) < right[name]) & (right[name] < values.max(0))))
 for name, shares in inside.items():
-    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
     print(f"{name}: the 90 % interval held the truth in {100 * np.mean(shares):.0f} %")
 
 # %% [markdown]
-# ## A picture of something else
+# Pixels and the total light are what they claim to be, as far as 16 pictures can tell. **The
+# bright area is not**: its intervals miss the truth in most pictures. Our nuclei have other rims
+# than those the network was trained on, and it places each rim a fraction of a pixel beside ours.
+# That makes no pixel wrong by more than its standard deviation, but the same error in a hundred of
+# them makes the area wrong by many of its own.
 #
-# The draws are right for pictures like those the network knows. Show it bricks: it finds bricks
-# that look a little like nuclei, and is too sure of them. No recording says so by itself; a prior
-# must be chosen for what is under the microscope, and checked on pictures whose truth is known, as
-# above.
-
-# %%
-bricks = skimage.transform.resize(skimage.data.brick()[:256, :256] / 255, (SIDE, SIDE))
-recording = likelihood.simulate(jax.random.key(7), bricks)
-run = ps.sample(
-    problem.condition(recording),
-    samplers.Thickening(),
-    jax.random.key(8),
-    chains=DRAWS,
-    draws=1,
-    progress=False,
-)
-pictures = run.values[:, 0]
-held = np.mean((pictures.min(0) < bricks) & (bricks < pictures.max(0)))
-print(f"bricks: the 90 % interval held the truth in {100 * held:.0f} % of the pixels")
+# So check a prior on pictures whose truth is known, and check it on the question that you ask. That
+# pixels are covered proves nothing of areas.
 
 # %% [markdown]
 # ## What this notebook claims
@@ -202,5 +188,6 @@ print(f"bricks: the 90 % interval held the truth in {100 * held:.0f} % of the pi
 
 # %%
 assert psnr(found.mean(0)) > psnr(found[0]) > psnr(y) + 4
-assert np.mean(inside["pixels"]) > 0.8
-assert held < np.mean(inside["pixels"])
+assert 0.85 < np.mean(inside["pixels"]) < 0.97
+assert np.mean(inside["total light"]) > 0.6
+assert np.mean(inside["bright area"]) < 0.6

@@ -64,7 +64,12 @@ def run(
         "sampler": draws.settings["sampler"],
         "warmup": draws.settings["warmup"],
         "results": summary.results,
-        "warnings": doubts(summary.results, options.sampler, _card(options)),
+        "warnings": doubts(
+            summary.results,
+            options.sampler,
+            _card(options),
+            question.y if options.problem == presets.DENOISING else None,
+        ),
         "seconds": round(time.perf_counter() - began, 1),
         "versions": versions(),
     }

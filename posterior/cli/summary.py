@@ -95,7 +95,12 @@ def _coverage(values: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _convergence(values: np.ndarray, sampler: Sampler) -> dict[str, float]:
-    """Largest R-hat and smallest effective sample size of all pixels (Re and Im apart)."""
+    """Largest R-hat and smallest effective sample size of all pixels (Re and Im apart).
+
+    Of independent draws their number alone: the largest of many R-hats would only be noise.
+    """
+    if sampler.independent:
+        return {"ess": float(values.shape[0] * values.shape[1])}
     if len(values) < 2 or values.shape[1] < 4:
         return {}
     parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)

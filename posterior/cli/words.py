@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .summary import LEVEL, MIXED
 
 _PERCENT = f"{LEVEL * 100:.0f} %"
@@ -13,6 +15,7 @@ _COVERED = {
 }
 _FEW = 100
 _TOO_NARROW = 0.85
+_FAINT = 0.4  # of full well
 _APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "dps", "kawar")
 
 
@@ -36,15 +39,23 @@ def findings(results: dict[str, float]) -> list[str]:
 
 
 def doubts(
-    results: dict[str, float], sampler: str, card: dict[str, Any] | None = None
+    results: dict[str, float],
+    sampler: str,
+    card: dict[str, Any] | None = None,
+    picture: np.ndarray | None = None,
 ) -> list[str]:
-    """What stands against believing the intervals; `card` of the weights, if the prior is one."""
+    """What stands against believing the intervals.
+
+    `card` of the weights, if the prior is one; `picture`: the recording, if it is of the object.
+    """
     said = [] if card is None else [_learnt(card)]
-    if "rhat" not in results:
+    if card is not None and picture is not None:
+        said += _out_of_range(card, picture)
+    if "rhat" not in results and "ess" not in results:
         said.append(
             "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4"
         )
-    elif results["rhat"] > MIXED:
+    if results.get("rhat", 0.0) > MIXED:
         said.append(
             f"the chains have not mixed: R-hat is above {MIXED} in "
             f"{100 * results['unmixed']:.1f} % of the pixels, up to {results['rhat']:.3g}; do not "
@@ -82,6 +93,21 @@ def _learnt(card: dict[str, Any]) -> str:
         "the prior is learnt: on pictures like its own that were held out its intervals held the "
         f"truth in {', '.join(said)} of the pixels; of other pictures nothing is known"
     )
+
+
+def _out_of_range(card: dict[str, Any], picture: np.ndarray) -> list[str]:
+    """Whether the picture is as bright as those the prior was trained on."""
+    percentile = card["preparation"].get("percentile")
+    if percentile is None:
+        return []
+    bright = float(np.percentile(picture, percentile))
+    if bright >= _FAINT:
+        return []
+    return [
+        f"the recording reaches {bright:.2g} of the full well, the prior's pictures 1 (their "
+        f"{percentile:g}th percentile): scale the picture, or give counts (no --bits) with a "
+        "--full-well that its brightest pixels just reach"
+    ]
 
 
 def headline(settings: dict[str, Any]) -> str:

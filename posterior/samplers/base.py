@@ -20,10 +20,12 @@ class Sampler(eqx.Module):
 
     `init(key, posterior) -> state` and `step(key, state) -> (state, info)` are pure, in the shape
     of BlackJAX. The state is a NamedTuple that holds everything a step needs, the posterior too.
-    Fields named in `shared` are the same for every chain and are not batched.
+    Fields named in `shared` are the same for every chain and are not batched. `independent`: draws
+    of a chain are, whatever its start, so that there is no convergence to check.
     """
 
     shared: ClassVar[tuple[str, ...]] = ("posterior",)
+    independent: ClassVar[bool] = False
 
     @abc.abstractmethod
     def init(

@@ -64,6 +64,7 @@ class Thickening(RunSampler):
     sigma_min: float | None = None
 
     shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "sigmas")
+    independent: ClassVar[bool] = True
 
     def __check_init__(self):
         check_at_least(("levels", self.levels, 2))

@@ -301,11 +301,21 @@ def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder,
     assert "held out its intervals held the truth in" in said.replace("\n", " ")
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
     assert settings["sampler"].startswith("Thickening")
+    assert settings["results"]["ess"] == 8 and "rhat" not in settings["results"]
+    assert "convergence" not in said
 
 
 def test_a_prior_without_a_calibration_is_told_as_such():
     (said,) = doubts({"rhat": 1.0}, "mala", {"validation": {}})
     assert "holds no calibration" in said
+
+
+def test_a_picture_fainter_than_the_priors_is_told():
+    card = {"validation": {}, "preparation": {"percentile": 99.5}}
+    rng = np.random.default_rng(0)
+    bright, faint = rng.random((2, 64, 64)) * np.array([1.0, 0.2]).reshape(2, 1, 1)
+    assert len(doubts({"rhat": 1.0}, "mala", card, bright)) == 1
+    assert "reaches 0.2 of the full well" in doubts({"rhat": 1.0}, "mala", card, faint)[1]
 
 
 # ---- refusals ------------------------------------------------------------------------------------
