@@ -65,15 +65,21 @@ KINDS = {
     "float64-complex": ("float64", complex),
 }
 
-# What `make test` runs of a sampler, the rest being left to the study: two kinds, or fewer of one
-# whose states and draws have the shape of another's. "split" is a setting of one that is here.
+# What `make test` runs of a sampler, the rest being left to the study: two kinds of the two that
+# users meet first, one of the others, none of one whose states have the shape of another's.
 FAST = {
+    "annealed, polished": ("float64-real",),
     "annealed, split": (),
+    "ula": ("float32-complex",),
+    "nuts": ("float32-complex",),
+    "blackjax mala": ("float64-real",),
+    "smc": ("float32-complex",),
+    "ensemble": ("float64-real",),
     "annealed, descent": (),
     "split gibbs": ("float64-real",),
     "dps": (),
     "kawar": ("float32-complex",),
-    "thickening": ("float32-real", "float64-real"),
+    "thickening": ("float32-real",),
 }
 
 

@@ -55,7 +55,7 @@ def test_draws_of_the_conjugate_gamma_posterior(x64):
     post = gamma_counts(models.Poisson(50))
     concentration, rate = 3 + np.asarray(post.y) * 50, 20 + 50
     assert concentration.max() < 53, "a saturated pixel has no conjugate posterior"
-    values = drawn(post, draws=500)
+    values = drawn(post, draws=300)
     check_mean(values, concentration / rate)
     # The last level keeps a share of the variance that is known.
     left = rate / (20 + 50 * 400)
@@ -68,7 +68,7 @@ def test_a_posterior_of_other_counts_fails(x64):
     concentration = 3 + np.asarray(post.y) * 50
     wrong = gamma_counts(models.Poisson(61), y=np.round(np.asarray(post.y) * 61) / 61)
     with pytest.raises(AssertionError):
-        check_mean((drawn(wrong, draws=500) - concentration / 70) ** 2, concentration / 70**2)
+        check_mean((drawn(wrong, draws=300) - concentration / 70) ** 2, concentration / 70**2)
 
 
 @pytest.mark.parametrize(
