@@ -11,7 +11,7 @@ from posterior.models.priors.denoiser import Statistics
 from posterior.models.priors.perturbation import count_loss, perturbed
 from posterior.models.thinning import added_electrons, poisson_between, thickened
 
-DRAWS = 200_000
+DRAWS = 60_000
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,7 @@ def test_tempered_smc_finds_both_twins(x64):
 # ---- emcee ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_emcee_draws_a_unimodal_phase_posterior(x64):
     """Two real dimensions against the grid: one mode only."""
     likelihood = models.IntensityLikelihood(models.Identity((1,)), models.Poisson(100))

@@ -89,7 +89,7 @@ def test_counts_that_the_recording_does_not_tell(x64, camera, y):
     weight /= weight.sum()
     mean = (weight * x).sum()
     sd = np.sqrt((weight * (x - mean) ** 2).sum())
-    values = drawn(post, draws=200)
+    values = drawn(post, draws=100)
     assert abs(values.mean() - mean) < 0.06 * sd
     assert abs(values.std() / sd - 1) < 0.06
 

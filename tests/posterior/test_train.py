@@ -259,6 +259,7 @@ def test_report_measures_against_block_matching(perturbation):
     assert row["bm3d"] > row["noisy"] + 4
 
 
+@pytest.mark.slow
 def test_counts_are_reported_with_their_calibration(command, folder, tmp_path, monkeypatch):
     monkeypatch.setattr(training_report, "_bm3d", lambda *_: None)
     result = command("--data", folder, "--perturbation", "poisson", "--out", tmp_path / "c", *TINY)

@@ -57,6 +57,7 @@ def test_counts_give_the_conjugate_mean(x64):
     np.testing.assert_allclose(estimators.mmse(post), expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_draws_of_a_network_average_to_its_estimate():
     """64 draws of the shipped denoiser of counts: a network is consistent only as far as it knows.
 
