@@ -29,6 +29,17 @@ def circular_sd(phase: np.ndarray) -> np.ndarray:
     return np.sqrt(-2 * np.log(np.clip(resultant, 1e-300, 1.0)))
 
 
+def spread_over_error(draws: np.ndarray, truths: np.ndarray) -> float:
+    """Sd of the draws over the error of their mean: 1 if calibrated, below it if too narrow.
+
+    `draws` (n, draws, ...), real or complex, of n problems whose truths are `truths` (n, ...). The
+    spread-skill ratio of forecasts (Fortin et al. 2014): the mean of so many draws keeps a share
+    1/draws of their variance.
+    """
+    variance = np.mean(draws.var(axis=1, ddof=1)) * (1 + 1 / draws.shape[1])
+    return float(np.sqrt(variance / np.mean(np.abs(draws.mean(axis=1) - truths) ** 2)))
+
+
 def _flat(values: np.ndarray) -> np.ndarray:
     values = np.asarray(values)
     if np.iscomplexobj(values):

@@ -8,7 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rich.progress import track
 
+from .diagnostics.spread import spread_over_error
 from .models.camera import Poisson
 from .models.likelihood import LinearLikelihood
 from .models.optics import Identity
@@ -62,7 +64,7 @@ def denoising(
 
 
 def calibration(
-    prior: LearnedPrior, patches: np.ndarray, seed: int = 0
+    prior: LearnedPrior, patches: np.ndarray, seed: int = 0, quiet: bool = True
 ) -> dict[str, dict[str, float]]:
     """Is the spread of draws the error of their mean, on pictures held out? By full well.
 
@@ -76,7 +78,8 @@ def calibration(
         camera = Poisson(full_well)
         likelihood = LinearLikelihood(Identity(prior.shape), camera)
         problem, draws = Problem(likelihood, prior), []
-        for i, picture in enumerate(truth):
+        told = f"calibration at full well {full_well}"
+        for i, picture in enumerate(track(truth, told, disable=quiet)):
             key = jax.random.fold_in(jax.random.key(seed), i)
             y = camera.sample(key, jnp.asarray(picture))
             settings = {"chains": RANKED, "draws": 1, "progress": False}
@@ -89,14 +92,11 @@ def calibration(
 def _spread_and_coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Draws (n, draws, ...), truth (n, ...)."""
     count = draws.shape[1]
-    # The mean of so many draws keeps a share 1/draws of their variance.
-    variance = np.mean(draws.var(axis=1, ddof=1)) * (1 + 1 / count)
-    ratio = np.sqrt(variance / np.mean((draws.mean(axis=1) - truth) ** 2))
     rank = (draws < truth[:, None]).sum(axis=1)
     inside = np.mean((rank > 0) & (rank < count))
     nominal = 1 - 2 / (count + 1)
     return {
-        "spread_over_error": round(float(ratio), 3),
+        "spread_over_error": round(spread_over_error(draws, truth), 3),
         "inside": round(float(inside), 3),
         "nominal": round(nominal, 3),
     }

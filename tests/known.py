@@ -96,12 +96,3 @@ def block_means(images, side=8):
     """Means (..., h/side, w/side) over the blocks of images (..., h, w)."""
     h, w = (n // side for n in images.shape[-2:])
     return images.reshape(*images.shape[:-2], h, side, w, side).mean((-3, -1))
-
-
-def spread_over_error(draws, truths):
-    """Sd of the draws over the error of their mean, 1 if calibrated: (n, draws, ...), (n, ...).
-
-    The mean of so many draws keeps a share 1/draws of their variance.
-    """
-    variance = np.mean(draws.var(axis=1, ddof=1)) * (1 + 1 / draws.shape[1])
-    return np.sqrt(variance / np.mean(np.abs(draws.mean(axis=1) - truths) ** 2))

@@ -132,9 +132,8 @@ figure.savefig("04_amplitude_and_phase.png", dpi=120)
 # two would be 1.
 
 # %%
-spread = np.sqrt(np.mean(np.var(found, axis=0, ddof=1)) * (1 + 1 / len(found)))
-error = np.sqrt(np.mean(np.abs(mean - specimen) ** 2))
-print(f"spread {spread:.4f}, error {error:.4f}: ratio {spread / error:.2f}")
+ratio = diagnostics.spread_over_error(found[None], np.asarray(specimen)[None])
+print(f"spread over error: {ratio:.2f}")
 
 # %% [markdown]
 # It is below 1: the draws agree with each other a little more than with the specimen. The network
@@ -149,4 +148,4 @@ print(f"spread {spread:.4f}, error {error:.4f}: ratio {spread / error:.2f}")
 # %%
 assert errors(mean)[0] > errors(best)[0]
 assert errors(mean)[1] > errors(best)[1]
-assert 0.2 < spread / error < 1
+assert 0.2 < ratio < 1

@@ -14,9 +14,9 @@ from known import (
     check_moments,
     linear_gaussian,
     real_view,
-    spread_over_error,
 )
 from posterior import diagnostics, models, samplers
+from posterior.diagnostics import spread_over_error
 from posterior.samplers.base import langevin_step
 from posterior.samplers.ula import ULAState
 

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 import posterior as ps
-from known import block_means, spread_over_error
+from known import block_means
 from posterior import models, presets
+from posterior.diagnostics import spread_over_error
 from posterior.estimators import anscombe_denoised
 from posterior.models.priors.storage import card_of
 from posterior.train import Preparation, prepare

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import posterior as ps
-from known import spread_over_error
 from posterior import models, presets
-from posterior.diagnostics import align
+from posterior.diagnostics import align, spread_over_error
 from posterior.estimators import default_start, maximum_likelihood
 
 pytestmark = [
