@@ -86,9 +86,8 @@ def command(
     denoiser, losses, seconds = _with_progress(
         Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
     )
-    prior, validation = _validated(
-        denoiser, kind, [prepare(files[n], how) for n in split.validation]
-    )
+    held_out = [prepare(files[n], how) for n in split.validation]
+    prior, validation = _validated(denoiser, kind, held_out, quiet)
     card = {
         "name": _stem(out).name,
         "kind": kind,
@@ -120,7 +119,7 @@ def command(
 
 
 def _validated(
-    denoiser: Denoiser, kind: str, pictures: list[np.ndarray]
+    denoiser: Denoiser, kind: str, pictures: list[np.ndarray], quiet: bool
 ) -> tuple[LearnedPrior, dict[str, Any]]:
     """The prior for patches, and what it is worth on pictures that it was not trained on."""
     patches = central_patches(pictures, denoiser.network.stride)
@@ -129,7 +128,7 @@ def _validated(
     prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
     found = {"denoising_psnr_db": denoising(prior, patches), "patches": PATCHES}
     if prior.perturbation == "poisson":
-        found["calibration"] = calibration(prior, patches)
+        found["calibration"] = calibration(prior, patches, quiet=quiet)
     return prior, found
 
 
