@@ -82,7 +82,7 @@ def _learnt(card: dict[str, Any]) -> str:
     """What the intervals of a learnt prior are known to be worth."""
     said = [
         f"{100 * found['inside']:.0f} % for {100 * found['nominal']:.0f} % at full well {well}"
-        for well, found in card["validation"].get("calibration", {}).items()
+        for well, found in card.get("validation", {}).get("calibration", {}).items()
     ]
     if not said:
         return (
@@ -97,7 +97,7 @@ def _learnt(card: dict[str, Any]) -> str:
 
 def _out_of_range(card: dict[str, Any], picture: np.ndarray) -> list[str]:
     """Whether the picture is as bright as those the prior was trained on."""
-    percentile = card["preparation"].get("percentile")
+    percentile = card.get("preparation", {}).get("percentile")
     if percentile is None:
         return []
     bright = float(np.percentile(picture, percentile))

@@ -306,7 +306,7 @@ def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder,
 
 
 def test_a_prior_without_a_calibration_is_told_as_such():
-    (said,) = doubts({"rhat": 1.0}, "mala", {"validation": {}})
+    (said,) = doubts({"rhat": 1.0}, "mala", {}, np.zeros((4, 4)))
     assert "holds no calibration" in said
 
 
