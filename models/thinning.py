@@ -30,6 +30,7 @@ def added_electrons(
 ) -> jax.Array:
     """Electrons counted between level `index` of `sigmas` and the next; shaped as `light`.
 
+    None at the last level.
     `light`: E[x | counts] at this level; `before`: at the level before (any, at index 0). Within a
     step the light follows what is counted; at a constant rate the draws' variance comes out too
     small, by the ratio of the two exposures where the prior is flat. The rate is therefore that at
@@ -38,11 +39,27 @@ def added_electrons(
     right to 1 % with 64.
     """
     exposures = 1 / jnp.square(sigmas)
-    step = exposures[index + 1] - exposures[index]
+    step = exposures[jnp.minimum(index + 1, sigmas.size - 1)] - exposures[index]
     past = exposures[index] - exposures[jnp.maximum(index - 1, 0)]
-    ahead = jnp.where(index > 0, step / (2 * jnp.where(index > 0, past, 1.0)), 0.0)
+    ahead = jnp.where(past > 0, step / (2 * jnp.where(past > 0, past, 1.0)), 0.0)
     rate = jnp.maximum(light + ahead * (light - before), 0.0)
     return jax.random.poisson(key, step * rate, dtype=jnp.int32).astype(light.dtype)
+
+
+def lengthened(
+    key: jax.Array,
+    denoise: Callable[[jax.Array, jax.Array], jax.Array],
+    counts: jax.Array,
+    before: jax.Array,
+    sigmas: jax.Array,
+    index: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Counts at the level after `index`, and E[x | counts] at this one.
+
+    `denoise(z, sigma)`: E[x | z]; `before`: what was expected a level before (any, at index 0).
+    """
+    light = denoise(counts * sigmas[index] ** 2, sigmas[index])
+    return counts + added_electrons(key, light, before, sigmas, index), light
 
 
 def thickened(
@@ -56,15 +73,12 @@ def thickened(
     `denoise(z, sigma)`: E[x | z]. Shaped as `counts`; `sigmas` falls.
     """
 
-    def lengthen(carry: tuple[jax.Array, jax.Array], index: jax.Array) -> tuple[tuple, None]:
-        counts, before = carry
-        light = denoise(counts * sigmas[index] ** 2, sigmas[index])
-        more = added_electrons(jax.random.fold_in(key, index), light, before, sigmas, index)
-        return (counts + more, light), None
+    def advance(carry: tuple[jax.Array, jax.Array], index: jax.Array) -> tuple[tuple, None]:
+        key_level = jax.random.fold_in(key, index)
+        return lengthened(key_level, denoise, *carry, sigmas, index), None
 
     start = counts, jnp.zeros_like(counts)
-    (counts, _), _ = jax.lax.scan(lengthen, start, jnp.arange(sigmas.size - 1))
-    return denoise(counts * sigmas[-1] ** 2, sigmas[-1])
+    return jax.lax.scan(advance, start, jnp.arange(sigmas.size))[0][1]
 
 
 def poisson_between(

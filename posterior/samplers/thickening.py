@@ -1,5 +1,6 @@
 """Thickening: a recording of counts, exposed on and on until it is a picture."""
 
+import math
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -9,15 +10,18 @@ import jax.numpy as jnp
 from ..models.camera import Poisson
 from ..models.likelihood import LinearLikelihood
 from ..models.optics import Identity
-from ..models.thinning import added_electrons, poisson_between
+from ..models.thinning import lengthened, poisson_between
 from ..problem import Posterior
 from .base import RunSampler
 from .checks import check_at_least, check_levels
 
-# No level is finer than this share of the recording's: a posterior loses its square in variance.
-_FINEST = 0.05
-# A chain for the counts that are not known: so many times that share is drawn anew.
-_RENEWALS, _RENEWED = 30, 0.25
+# Shares of the recording's level, of which a posterior loses the square in variance: no level is
+# finer than the one, and a prior must know levels as fine as the other.
+_FINEST, _COARSEST = 0.05, 1 / 3
+# Below this level counts outgrow what float32 tells apart.
+_LONGEST = 2.0**-12
+# The share of hidden counts that a step of their chain draws anew.
+_RENEWED = 0.25
 
 
 class ThickeningState(NamedTuple):
@@ -52,9 +56,10 @@ class Thickening(RunSampler):
     Exact as levels grow, for pictures recorded by a Poisson camera and a prior with the poisson
     perturbation: no step multiplies the errors of a network, no likelihood is approximated. Two
     approximations remain. The draw lacks the variance left at the last level, at most its square
-    over the recording's. Counts that the recording does not tell apart (a saturated pixel, an ADC
-    with fewer codes than electrons) are drawn first, by a chain of 30 further evaluations:
-    too short for light far above the full well, which comes out too dark.
+    over the recording's: `init` refuses a prior with which that is above a ninth. Counts that the
+    recording does not tell apart (a saturated pixel, an ADC with fewer codes than electrons) are
+    drawn first, by a chain of `renewals` evaluations and one more; it is too short for light far
+    above the full well, which comes out too dark.
 
     Every draw begins at the recording: a start that is given is not used. `init` raises ValueError
     for other optics, cameras and priors.
@@ -62,12 +67,13 @@ class Thickening(RunSampler):
 
     levels: int = eqx.field(static=True, default=48)
     sigma_min: float | None = None
+    renewals: int = eqx.field(static=True, default=30)
 
     shared: ClassVar[tuple[str, ...]] = ("posterior", "index", "sigmas")
     independent: ClassVar[bool] = True
 
     def __check_init__(self):
-        check_at_least(("levels", self.levels, 2))
+        check_at_least(("levels", self.levels, 2), ("renewals", self.renewals, 0))
         check_levels(sigma_max=None, sigma_min=self.sigma_min)
 
     def init(
@@ -77,8 +83,8 @@ class Thickening(RunSampler):
         _check_counts(posterior)
         dtype = posterior.dtype
         broadest = posterior.likelihood.camera.sigma0
-        finest = jnp.maximum(_FINEST * broadest, posterior.prior.finest)
-        finest = jnp.minimum(finest if self.sigma_min is None else self.sigma_min, broadest)
+        finest = _finest(posterior) if self.sigma_min is None else self.sigma_min
+        finest = jnp.minimum(finest, broadest)
         return ThickeningState(
             position=posterior.y.astype(dtype),
             counts=jnp.zeros(posterior.shape, dtype),
@@ -94,28 +100,39 @@ class Thickening(RunSampler):
     def step(
         self, key: jax.Array, state: ThickeningState
     ) -> tuple[ThickeningState, ThickeningInfo]:
-        """Look at the counts of `state.index`'s level, after exposing from the one before."""
+        """Look at the counts of `state.index`'s level, and expose them to the next."""
         key_first, key_more = jax.random.split(key)
-        index, sigmas, prior = state.index, state.sigmas, state.posterior.prior
+        index, sigmas = state.index, state.sigmas
         counts = jax.lax.cond(
             index == 0,
-            lambda: recorded_counts(key_first, state.posterior),
+            lambda: recorded_counts(key_first, state.posterior, self.renewals),
             lambda: state.counts,
         )
-        light = prior.denoise(counts * sigmas[index] ** 2, sigmas[index])
-        following = jnp.minimum(index, self.levels - 2)
-        more = added_electrons(key_more, light, state.position, sigmas, following)
-        state = state._replace(
-            position=light, counts=counts + more, index=(index + 1) % self.levels
-        )
+        denoise, before = state.posterior.prior.denoise, state.position
+        counts, light = lengthened(key_more, denoise, counts, before, sigmas, index)
+        state = state._replace(position=light, counts=counts, index=(index + 1) % self.levels)
         return state, ThickeningInfo(sigmas[index], jnp.sum(counts))
 
 
-def recorded_counts(key: jax.Array, posterior: Posterior) -> jax.Array:
+def _finest(posterior: Posterior) -> float:
+    """The last level; refuses a prior that knows none much finer than the recording's."""
+    broadest, prior = posterior.likelihood.camera.sigma0, posterior.prior
+    finest = max(_FINEST * broadest, prior.finest, _LONGEST)
+    if finest > _COARSEST * broadest:
+        raise ValueError(
+            f"full well {posterior.likelihood.camera.full_well}: the levels end at {finest:.3g}, "
+            f"and draws would lack {100 * (finest / broadest) ** 2:.0f} % of their variance; "
+            f"thickening is for full wells up to {math.floor((_COARSEST / finest) ** 2)} here, use "
+            "AnnealedLangevin with a prior of the gaussian perturbation"
+        )
+    return finest
+
+
+def recorded_counts(key: jax.Array, posterior: Posterior, renewals: int) -> jax.Array:
     """The electrons of a recording, shaped as it; drawn where it leaves several numbers possible.
 
-    A Markov chain of thinning and thickening again, which leaves counts of the prior as they are
-    distributed; a pixel that would leave what was recorded stays as it is.
+    By a Markov chain of `renewals` times thinning and thickening again, which leaves counts of the
+    prior as they are distributed; a pixel that would leave what was recorded stays as it is.
     """
     camera, denoise = posterior.likelihood.camera, posterior.prior.denoise
     low, high = camera.electrons_between(posterior.y)
@@ -131,7 +148,7 @@ def recorded_counts(key: jax.Array, posterior: Posterior) -> jax.Array:
 
     def drawn() -> jax.Array:
         light = denoise(low * camera.sigma0**2, camera.sigma0)
-        keys = jax.random.split(key, _RENEWALS + 1)
+        keys = jax.random.split(key, renewals + 1)
         guess = poisson_between(keys[0], camera.full_well * light, low, high)
         return jax.lax.scan(renew, guess, keys[1:])[0]
 

@@ -81,6 +81,10 @@ def test_a_posterior_of_other_counts_fails(x64):
     ids=["saturated", "four bits", "four bits, saturated"],
 )
 def test_counts_that_the_recording_does_not_tell(x64, camera, y):
+    check_hidden(camera, y)
+
+
+def check_hidden(camera, y, sampler=None):
     """Against quadrature, within 6 % of the sd: the chain of counts has 30 steps."""
     post = gamma_counts(camera, GammaPixels(30.0, 35.0), np.full(SIZE, y))
     x = np.linspace(0.01, 4, 4000)
@@ -89,9 +93,28 @@ def test_counts_that_the_recording_does_not_tell(x64, camera, y):
     weight /= weight.sum()
     mean = (weight * x).sum()
     sd = np.sqrt((weight * (x - mean) ** 2).sum())
-    values = drawn(post, draws=100)
+    values = drawn(post, sampler, draws=100)
     assert abs(values.mean() - mean) < 0.06 * sd
     assert abs(values.std() / sd - 1) < 0.06
+
+
+def test_a_guess_of_the_hidden_counts_alone_fails(x64):
+    """About the light of the least possible counts, without the chain."""
+    with pytest.raises(AssertionError):
+        check_hidden(models.Poisson(50), 1.0, samplers.Thickening(renewals=0))
+
+
+def test_recordings_finer_than_the_prior_are_refused():
+    """Draws would be a single picture, as if nothing were uncertain."""
+
+    class Coarse(GammaPixels):
+        finest = 0.02
+
+    for full_well, words in ((10_000, "full wells up to 277"), (400, "lack 16 % of their")):
+        post = gamma_counts(models.Poisson(full_well), Coarse())
+        with pytest.raises(ValueError, match=words):
+            samplers.Thickening().init(jax.random.key(0), post)
+    samplers.Thickening().init(jax.random.key(0), gamma_counts(models.Poisson(277), Coarse()))
 
 
 def test_electrons_behind_a_recording():
