@@ -120,7 +120,7 @@ def test_a_batch_changes_nothing(x64, name):
     score = jax.jit(lambda x: likelihood.score(x, y))
     together = jax.jit(jax.vmap(score))(batch)
     apart = jnp.stack([score(x) for x in batch])
-    np.testing.assert_allclose(together, apart, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(together, apart, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("path", ["split", "convolved"])
