@@ -181,7 +181,9 @@ class FourierPtychography(Optics):
     - `shape`: (h, w) of the high-resolution object.
     - `centres`: (M, 2) integers, the (row, column) frequency at the middle of each crop, in Fourier
       samples of the object. A new array of the same length does not recompile.
-    - `pupil`: (n0, n1), complex, zero frequency at the middle (index n // 2), as after fftshift.
+    - `pupil`: (n0, n1), complex, zero frequency at the middle (index n // 2), as after fftshift;
+      or (M, n0, n1), one for each LED: a pupil moved by the fraction of a sample that its centre
+      was rounded by leaves no rounding (models/pupil.py).
 
     The field has shape (M, n0, n1). Raises ValueError for arrays of the wrong shape or type, and
     where the support of the pupil around a centre leaves the band of the object.
@@ -202,9 +204,9 @@ class FourierPtychography(Optics):
         pupil: ArrayLike,
     ):
         self.in_shape = _plane(shape)
-        centres, pupil = _centres(centres), _filter_array("pupil", pupil, ndim=2)
+        centres, pupil = _centres(centres), _pupil(pupil, len(np.asarray(centres)))
         _check_band(self.in_shape, centres, pupil)
-        self.out_shape = (len(centres), *pupil.shape)
+        self.out_shape = (len(centres), *pupil.shape[-2:])
         self.centres = jnp.asarray(centres)
         self.pupil = jnp.asarray(pupil + 0j)
         # Found once, here: a sampler asks for it at every step.
@@ -287,8 +289,9 @@ class FourierPtychography(Optics):
 
     def _apply(self, o: jax.Array) -> jax.Array:
         spectrum = jnp.fft.fftshift(jnp.fft.fftn(o, norm="ortho"))
-        spectrum = jnp.pad(spectrum, [(n, n) for n in self.pupil.shape])
-        crop = functools.partial(jax.lax.dynamic_slice, spectrum, slice_sizes=self.pupil.shape)
+        low = self.out_shape[1:]
+        spectrum = jnp.pad(spectrum, [(n, n) for n in low])
+        crop = functools.partial(jax.lax.dynamic_slice, spectrum, slice_sizes=low)
         passed = jax.vmap(crop)(self._corners()) * self._gained_pupil(o)
         return jnp.fft.ifftn(passed, axes=(1, 2), norm="ortho") * self._recentring(o)
 
@@ -299,16 +302,17 @@ class FourierPtychography(Optics):
         return jnp.fft.ifftn(jnp.fft.ifftshift(spectrum), norm="ortho")
 
     def _gained_pupil(self, o: jax.Array) -> jax.Array:
-        """sqrt(n_low / n_high) pupil, shape (1, n0, n1), in the precision of `o`."""
-        gain = jnp.sqrt(self.pupil.size / math.prod(self.in_shape))
-        return (gain.astype(self.pupil.dtype) * self.pupil).astype(_complex_dtype(o))[None]
+        """sqrt(n_low / n_high) pupil, shape (1 or M, n0, n1), in the precision of `o`."""
+        gain = jnp.sqrt(math.prod(self.out_shape[1:]) / math.prod(self.in_shape))
+        gained = (gain.astype(self.pupil.dtype) * self.pupil).astype(_complex_dtype(o))
+        return gained.reshape(-1, *self.out_shape[1:])
 
     def _recentring(self, o: jax.Array) -> jax.Array:
         """Phase, shape (1, n0, n1), that undoes a spectrum left with its zero in the middle.
 
         Cheaper than an fftshift of every crop, by the shift theorem.
         """
-        phases = [np.exp(-2j * np.pi * (n // 2 * np.arange(n) % n) / n) for n in self.pupil.shape]
+        phases = [np.exp(-2j * np.pi * (n // 2 * np.arange(n) % n) / n) for n in self.out_shape[1:]]
         return jnp.asarray(np.multiply.outer(*phases)).astype(_complex_dtype(o))[None]
 
     def _corners(self) -> jax.Array:
@@ -317,12 +321,12 @@ class FourierPtychography(Optics):
         The padding is for windows that leave the band where the pupil is zero; it does not depend
         on the centres, so that new ones need no new compilation.
         """
-        middle = [h // 2 - n // 2 + n for h, n in zip(self.in_shape, self.pupil.shape)]
+        middle = [h // 2 - n // 2 + n for h, n in zip(self.in_shape, self.out_shape[1:])]
         return self.centres + jnp.asarray(middle, self.centres.dtype)[None]
 
     def _overlap_add(self, crops: jax.Array) -> jax.Array:
         """Sum of crops (M, n0, n1), each at its place in the centred spectrum (h, w)."""
-        shape, pad = self.pupil.shape, self.pupil.shape
+        shape = pad = self.out_shape[1:]
 
         def add(total: jax.Array, item: tuple) -> tuple:
             corner, crop = item
@@ -334,8 +338,8 @@ class FourierPtychography(Optics):
         return total[pad[0] : -pad[0], pad[1] : -pad[1]]
 
     def row_norms(self) -> jax.Array:
-        """sqrt(sum |pupil|^2 / n_high), everywhere."""
-        power = jnp.sum(jnp.abs(self.pupil) ** 2)
+        """sqrt(sum |pupil|^2 / n_high), everywhere in the field of an LED."""
+        power = jnp.sum(jnp.abs(self.pupil) ** 2, axis=(-2, -1)).reshape(-1, 1, 1)
         return jnp.ones(self.out_shape) * jnp.sqrt(power / math.prod(self.in_shape))
 
     def norm_squared(self) -> jax.Array:
@@ -655,9 +659,17 @@ def _centres(centres: ArrayLike) -> np.ndarray:
     return array.astype(int)
 
 
+def _pupil(pupil: ArrayLike, leds: int) -> np.ndarray:
+    array = np.asarray(pupil)
+    if array.ndim == 3 and len(array) != leds:
+        raise ValueError(f"pupil has shape {array.shape}: give one for each of the {leds} LEDs")
+    return _filter_array("pupil", pupil, ndim=3 if array.ndim == 3 else 2)
+
+
 def _reach(centres: np.ndarray, pupil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest frequency (M, 2) that the pupil lets through around each centre."""
-    offsets = np.argwhere(pupil != 0) - np.array(pupil.shape) // 2
+    passing = (pupil != 0).reshape(-1, *pupil.shape[-2:]).any(axis=0)
+    offsets = np.argwhere(passing) - np.array(passing.shape) // 2
     return centres + offsets.min(axis=0), centres + offsets.max(axis=0)
 
 
@@ -665,11 +677,13 @@ def _largest_transmission(
     shape: tuple[int, ...], centres: np.ndarray, pupil: np.ndarray
 ) -> np.float64:
     """Largest sum over the LEDs of the power that a frequency passes on, with the gain."""
-    total = np.zeros([h + 2 * n for h, n in zip(shape, pupil.shape)])
-    corners = centres + [h // 2 - n // 2 + n for h, n in zip(shape, pupil.shape)]
-    for row, column in corners:
-        total[row : row + pupil.shape[0], column : column + pupil.shape[1]] += np.abs(pupil) ** 2
-    return total.max() * pupil.size / math.prod(shape)
+    low = pupil.shape[-2:]
+    total = np.zeros([h + 2 * n for h, n in zip(shape, low)])
+    corners = centres + [h // 2 - n // 2 + n for h, n in zip(shape, low)]
+    powers = np.broadcast_to(np.abs(pupil) ** 2, (len(centres), *low))
+    for (row, column), power in zip(corners, powers):
+        total[row : row + low[0], column : column + low[1]] += power
+    return total.max() * math.prod(low) / math.prod(shape)
 
 
 def _needed_shape(centres: np.ndarray, pupil: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from skimage import data as pictures
 
+from .estimators import calibrate
 from .images import fit_to, read_picture, to_grey, to_unit_range
 from .models.annealing import component_sd
 from .models.camera import Poisson
@@ -40,6 +41,7 @@ from .samplers import (
     TemperedSMC,
     Thickening,
 )
+from .stacks import Stack, checked_stack, in_electrons, least_upsampling
 from .starts import annealed, from_estimates, from_magnitudes, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
@@ -151,6 +153,31 @@ def record(
     return Question(_problem(optics, camera, known, irradiance), y, None, irradiance, names)
 
 
+def measured(
+    stack: Stack,
+    *,
+    prior: str | None = None,
+    needs: str = "score",
+    progress: bool = False,
+) -> Question:
+    """A stack of Fourier ptychography, from the microscope whose numbers it holds.
+
+    Electrons are counted by the noise of the images (`stacks.in_electrons`), and the microscope is
+    calibrated on them (`estimators.calibrate`), some minutes for hundreds of LEDs. The object has
+    as many pixels as the band of the LEDs needs, and the prior's mean energy. `prior` and `needs`
+    are as for `simulate`. Raises ValueError on what does not fit.
+    """
+    stack = in_electrons(checked_stack(stack))
+    upsampling = least_upsampling(stack)
+    shape = tuple(upsampling * n for n in stack.intensity.shape[1:])
+    known, names = _prior(PTYCHOGRAPHY, shape, prior, None, needs)
+    found = calibrate(stack, upsampling, progress=progress)
+    brighter = _mean_energy(known) / float(np.sum(np.abs(found.object) ** 2, dtype=float))
+    o = found.object * brighter**0.5
+    likelihood, y = found.calibration.likelihood(stack, upsampling, o)
+    return Question(Problem(likelihood, known), y, None, None, names)
+
+
 def _problem(optics: Optics, camera: Poisson, prior: Prior, irradiance: float | None) -> Problem:
     if not isinstance(optics, Identity):
         return Problem(IntensityLikelihood(optics, camera, irradiance), prior)
@@ -253,13 +280,13 @@ def picture_of(name: str, y: np.ndarray) -> tuple[np.ndarray, str]:
         faintest = np.min(y[y > 0], initial=1.0)
         return np.log10(np.maximum(np.fft.fftshift(y), faintest)), "recording (log)"
     if name == PTYCHOGRAPHY:
-        rows = np.sqrt(y).reshape(_GRID, _GRID, *y.shape[1:])
+        side = min(_GRID, math.isqrt(len(y)))
+        rows = np.sqrt(y[: side**2]).reshape(side, side, *y.shape[1:])
         # Every LED on its own scale: the outer ones are dark fields.
         rows = rows / np.maximum(rows.max(axis=(2, 3), keepdims=True), 1e-12)
         framed = np.pad(rows, ((0, 0), (0, 0), (0, 1), (0, 1)), constant_values=1.0)
-        return np.block([list(row) for row in framed])[
-            :-1, :-1
-        ], f"recordings, {_GRID}x{_GRID} LEDs"
+        shown = np.block([list(row) for row in framed])[:-1, :-1]
+        return shown, f"recordings, {side}x{side} of {len(y)} LEDs"
     return y, "recording"
 
 
@@ -489,14 +516,18 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
 
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
     for an object behind a field from where its annealing error is 0.4 of the noise. There it begins
-    at the sd of a channel, where a start `from_estimates` is not forgotten.
+    at the sd of a channel, where a start is not forgotten; far-field magnitudes say so much less
+    of the object that it takes half of that, and more levels.
     """
     finest = posterior.prior.finest
     if isinstance(posterior.likelihood, LinearLikelihood):
         return AnnealedLangevin(levels=45, steps=4, path=path, sigma_min=2 * finest, descent=6)
     finest = max(0.4 * float(posterior.data_level()), finest)
-    ends = {"sigma_max": max(float(posterior.prior.scale), finest), "sigma_min": finest}
-    return AnnealedLangevin(levels=40, steps=4, path=path, descent=6, **ends)
+    broadest, levels = float(posterior.prior.scale), 40
+    if has_magnitudes(posterior.likelihood.optics):
+        broadest, levels = broadest / 2, 60
+    ends = {"sigma_max": max(broadest, finest), "sigma_min": finest}
+    return AnnealedLangevin(levels=levels, steps=4, path=path, descent=6, **ends)
 
 
 def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
@@ -525,13 +556,17 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
     starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
-    several, which start from hybrid input-output. "split" cannot travel at all.
+    several, which start from hybrid input-output. Under a learned prior ptychography starts from
+    quasi-Newton. "split" cannot travel at all.
     """
+    magnitudes = has_magnitudes(posterior.likelihood.optics)
     if isinstance(posterior.likelihood, LinearLikelihood):
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if isinstance(posterior.prior, LearnedPrior):
-        return from_estimates(posterior, key, chains)
+        if not magnitudes:
+            return from_estimates(posterior, chains)
+        return from_magnitudes(posterior, learned_annealing(posterior), key, chains)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
-    search = from_magnitudes if has_magnitudes(posterior.likelihood.optics) else annealed
+    search = from_magnitudes if magnitudes else annealed
     return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains)

@@ -7,13 +7,15 @@ import numpy as np
 
 from .estimators import default_start, hio, maximum_likelihood
 from .models.optics import CONJUGATE_FLIP, Fourier, FourierPtychography, Optics
-from .models.priors.learned import LearnedPrior
+from .models.priors.learned import LearnedPrior, ScorePrior
 from .problem import Posterior
 from .samplers import AnnealedLangevin
 from .sampling import sample
 
-# Candidates of each chain, those of them that have heirs, and how often they are chosen anew.
-_CANDIDATES, _PARENTS, _GENERATIONS = 16, 2, 3
+# Candidates of each chain, and how often they are chosen anew; a network's steps cost more, and its
+# valleys are found one out of another.
+_FIELD_SEARCH, _LEARNED_SEARCH = (16, 3), (8, 5)
+_PARENTS = 2  # candidates that have heirs
 _HIO_STARTS, _HIO_ITERATIONS = 64, 500
 
 
@@ -47,11 +49,14 @@ def from_magnitudes(
     than draws within one: the best candidates are noised and annealed again, as many as before. The
     chains share nothing, so that R-hat still tells whether they found the same valley.
 
+    Candidates are ranked by the posterior, or by the likelihood alone if the prior has no density.
     Real objects are taken to be nonnegative. Raises ValueError as `hio` does.
     """
-    key_hio, *keys = jax.random.split(key, 1 + _GENERATIONS)
+    learned = isinstance(posterior.prior, LearnedPrior)
+    candidates, generations = _LEARNED_SEARCH if learned else _FIELD_SEARCH
+    key_hio, *keys = jax.random.split(key, 1 + generations)
     keys_hio = [jax.random.fold_in(key_hio, i) for i in range(chains)]
-    pool = np.stack([_solutions(posterior, k, _CANDIDATES) for k in keys_hio])
+    pool = np.stack([_solutions(posterior, k, candidates) for k in keys_hio])
     shape = pool.shape
     for generation in keys:
         flat = pool.reshape(-1, *posterior.shape)
@@ -60,16 +65,13 @@ def from_magnitudes(
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
 
 
-def from_estimates(posterior: Posterior, key: jax.Array, chains: int) -> np.ndarray | None:
-    """Starts (chains, *shape) for a learned prior: cheap single answers, for the sampler to noise.
+def from_estimates(posterior: Posterior, chains: int) -> np.ndarray | None:
+    """Starts (chains, *shape) for a learned prior: a cheap single answer, for the sampler to noise.
 
-    Phase retrieval: the best solutions of hybrid input-output, one a chain, as in the paper.
     Ptychography: the quasi-Newton solution with the prior's global phase, the same for every chain.
     None for other optics.
     """
     likelihood, prior = posterior.likelihood, posterior.prior
-    if has_magnitudes(likelihood.optics):
-        return _untwinned(_solutions(posterior, key, chains), likelihood.optics)
     if not isinstance(likelihood.optics, FourierPtychography):
         return None
     found = maximum_likelihood(likelihood, posterior.y, default_start(likelihood, posterior.y))
@@ -102,7 +104,8 @@ def _heirs(posterior: Posterior, candidates: np.ndarray) -> np.ndarray:
 
 @eqx.filter_jit
 def _log_probs(posterior: Posterior, objects: np.ndarray) -> jax.Array:
-    return jax.vmap(posterior.log_prob)(objects)
+    has_density = not isinstance(posterior.prior, ScorePrior)
+    return jax.vmap(posterior.log_prob if has_density else posterior.log_likelihood)(objects)
 
 
 def _untwinned(objects: np.ndarray, optics: Optics) -> np.ndarray:

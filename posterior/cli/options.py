@@ -8,7 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from ..models.priors.storage import shipped_names
-from ..presets import APPLICATIONS, SAMPLERS, best_sampler, is_trained, weights_card
+from ..presets import (
+    APPLICATIONS,
+    PTYCHOGRAPHY,
+    SAMPLERS,
+    Application,
+    best_sampler,
+    is_trained,
+    weights_card,
+)
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in --out.")]
@@ -35,6 +43,7 @@ class Options:
     problem: str
     image: str | None = None
     data: str | None = None
+    stack: str | None = None
     full_well: int | None = None
     bits: int | None = None
     sampler: str | None = None
@@ -54,8 +63,13 @@ class Options:
         application = _known("problem", self.problem, APPLICATIONS)
         name = self.sampler or best_sampler(self.problem, self.prior)
         sampling = _known("sampler", name, SAMPLERS)
-        if (self.image is None) == (self.data is None):
-            raise ValueError("give either --image (a picture to record) or --data (a recording)")
+        if sum(source is not None for source in (self.image, self.data, self.stack)) != 1:
+            raise ValueError(
+                "give either --image (a picture to record) or --data (a recording), or --stack "
+                "(of Fourier ptychography, with its microscope)"
+            )
+        if self.stack is not None:
+            self._refuse_beside_a_stack()
         if self.data is not None and self.full_well is None:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():
@@ -67,13 +81,28 @@ class Options:
             self,
             image=_absolute(self.image),
             data=_absolute(self.data),
+            stack=_absolute(self.stack),
             prior=self.prior if self.prior in shipped_names() else _absolute(self.prior),
-            full_well=application.full_well if self.full_well is None else self.full_well,
+            full_well=self._full_well(application),
             bits=(application.bits if simulated else 0) if self.bits is None else self.bits,
             sampler=name,
             draws=sampling.draws if self.draws is None else self.draws,
             thin=sampling.thin if self.thin is None else self.thin,
         )
+
+    def _full_well(self, application: Application) -> int | None:
+        """Of a simulated camera, if not said, the application's own; a stack tells its own."""
+        if self.image is None or self.full_well is not None:
+            return self.full_well
+        return application.full_well
+
+    def _refuse_beside_a_stack(self) -> None:
+        if self.problem != PTYCHOGRAPHY:
+            raise ValueError(f"--stack is for {PTYCHOGRAPHY}: give --data to {self.problem}")
+        for name in ("full_well", "bits", "size", "irradiance", "page"):
+            if getattr(self, name) is not None:
+                option = f"--{name.replace('_', '-')} {getattr(self, name)}"
+                raise ValueError(f"{option}: a stack says so itself, leave it out")
 
 
 def _known(kind: str, name: str, table: dict[str, Any]) -> Any:

@@ -19,6 +19,7 @@ from ..presets import SAMPLERS, Question
 from ..problem import Posterior
 from ..samplers import Ensemble, Sampler
 from ..sampling import sample
+from ..stacks import read_stack
 from .options import Options
 from .outputs import CHECKPOINT, prepare, write
 from .summary import summarise
@@ -39,10 +40,10 @@ def run(
     options that do not fit, and OSError if `out` cannot be written.
     """
     options, began = options.resolved(), time.perf_counter()
-    source = options.image or options.data
+    source = _source(options)
     digest = _file_hash(source)
     key_record, key_start, key_draws = jax.random.split(jax.random.key(options.seed), 3)
-    question = _question(options, key_record)
+    question = _question(options, key_record, quiet)
     _refuse_changed(earlier, digest, question)
     posterior = question.problem.condition(question.y)
     sampler = SAMPLERS[options.sampler].build(posterior)
@@ -86,12 +87,20 @@ def _file_hash(path: str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _question(options: Options, key: jax.Array) -> Question:
+def _source(options: Options) -> str:
+    return options.image or options.data or options.stack
+
+
+def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
+    needs = SAMPLERS[options.sampler].needs
+    if options.stack is not None:
+        stack = read_stack(options.stack)
+        return presets.measured(stack, prior=options.prior, needs=needs, progress=not quiet)
     camera = Poisson(options.full_well, options.bits or None)
     picture = read_picture(options.image or options.data, options.page)
     given = {
         name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
-    } | {"needs": SAMPLERS[options.sampler].needs}
+    } | {"needs": needs}
     if options.data is not None:
         return presets.record(options.problem, picture, camera, **given)
     return presets.simulate(options.problem, picture, camera, key, **given)
@@ -107,7 +116,7 @@ def _card(options: Options) -> dict[str, Any] | None:
 def _refuse_changed(earlier: dict[str, Any] | None, digest: str, question: Question) -> None:
     if earlier is None:
         return
-    file = earlier["options"]["image"] or earlier["options"]["data"]
+    file = _source(Options(**earlier["options"]))
     if earlier["input"]["sha256"] != digest:
         raise ValueError(f"{file} has changed since the run: put the same file there")
     if earlier["prior"] != question.prior:

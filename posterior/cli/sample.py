@@ -15,6 +15,9 @@ def command(
     out: Out,
     image: Annotated[str | None, typer.Option(help="A clean picture, to be recorded.")] = None,
     data: Annotated[str | None, typer.Option(help="A recording: codes, or fractions of 1.")] = None,
+    stack: Annotated[
+        str | None, typer.Option(help="A measured stack of ptychography, NPZ with its microscope.")
+    ] = None,
     full_well: Annotated[int | None, typer.Option(help="Electrons at saturation.")] = None,
     bits: Annotated[int | None, typer.Option(help="Of the ADC; 0: none.")] = None,
     sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,

@@ -7,6 +7,7 @@ import numpy as np
 from ..diagnostics.convergence import ess, rhat
 from ..diagnostics.gauge import align, gauge_to
 from ..diagnostics.plots import complex_maps
+from ..diagnostics.predictive import misfit
 from ..diagnostics.spread import interval, interval_width
 from ..draws import Draws
 from ..models.optics import GLOBAL_PHASE, Optics
@@ -44,6 +45,7 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
         results["psnr_mean"] = _psnr(mean, truth)
         results |= _coverages(values, truth)
     results |= _convergence(values, sampler)
+    results["misfit"] = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
     if np.iscomplexobj(values):
         maps = complex_maps(values, LEVEL)
         sd = np.stack([maps.sd_amplitude, maps.sd_phase])

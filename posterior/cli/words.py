@@ -16,6 +16,7 @@ _COVERED = {
 _FEW = 100
 _TOO_NARROW = 0.85
 _FAINT = 0.4  # of full well
+_UNEXPLAINED = 1.5
 _APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "dps", "kawar")
 
 
@@ -33,6 +34,8 @@ def findings(results: dict[str, float]) -> list[str]:
     ]
     if "rhat" in results:
         said.append(f"R-hat, largest of all pixels: {results['rhat']:.4g}")
+    if "misfit" in results:
+        said.append(f"squared residual over the noise: {results['misfit']:.2f}, 1 is right")
     if "ess" in results:
         said.append(f"effective draws, smallest of all pixels: {results['ess']:.0f}")
     return said
@@ -65,6 +68,12 @@ def doubts(
         said.append(
             f"only {results['ess']:.0f} effective draws in the worst pixel: the ends of its "
             f"interval are rough below {_FEW}, give more --draws"
+        )
+    if results.get("misfit", 0.0) > _UNEXPLAINED:
+        said.append(
+            f"the draws do not explain the recording: it is {results['misfit']:.2g} times as far "
+            "from them as its noise allows, in variance; full well, optics or prior are not what "
+            "was said, and the intervals are too narrow"
         )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")
@@ -113,7 +122,9 @@ def _out_of_range(card: dict[str, Any], picture: np.ndarray) -> list[str]:
 def headline(settings: dict[str, Any]) -> str:
     """The title of the figure."""
     options, results = settings["options"], settings["results"]
-    parts = [f"{options['problem']}, full well {options['full_well']} electrons"]
+    parts = [options["problem"]]
+    if options["full_well"] is not None:
+        parts = [f"{options['problem']}, full well {options['full_well']} electrons"]
     if "psnr_data" in results:
         parts.append(f"recording {results['psnr_data']:.1f} dB")
     if "psnr_mean" in results:

@@ -1,6 +1,7 @@
 """Estimators: single answers, to compare with and to start from."""
 
 from .anscombe import anscombe, anscombe_denoised, exact_unbiased_inverse
+from .calibration import Calibrated, Calibration, calibrate
 from .hio import Retrieved, hio
 from .mmse import mmse
 from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior

@@ -6,6 +6,7 @@ most robust, here on the exact likelihood of what was recorded.
 
 import operator
 import warnings
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -149,20 +150,31 @@ def _minimise(
 
     v = to_real(start)
     steepest = jnp.linalg.norm(cost(v)[1])
+    v, state = minimised(cost, v, iterations, tolerance * steepest, history)
+    relative = jnp.where(steepest > 0, state.error / steepest, 0.0)
+    o = from_real(v, start.shape, start.dtype)
+    return Optimum(o, -state.value * stiffest, relative, state.iter_num)
+
+
+def minimised(
+    cost: Callable[[jax.Array], tuple[jax.Array, jax.Array]],
+    v: jax.Array,
+    iterations: int,
+    tolerance: jax.Array | float,
+    history: int,
+) -> tuple[jax.Array, NamedTuple]:
+    """Where `cost`, which gives value and gradient, is least near `v`, and the solver's state."""
     solver = jaxopt.LBFGS(
         cost,
         value_and_grad=True,
         maxiter=iterations,
-        tol=tolerance * steepest,
+        tol=tolerance,
         history_size=history,
         stop_if_linesearch_fails=True,
         implicit_diff=False,
         unroll=False,
     )
-    v, state = solver.run(v)
-    relative = jnp.where(steepest > 0, state.error / steepest, 0.0)
-    o = from_real(v, start.shape, start.dtype)
-    return Optimum(o, -state.value * stiffest, relative, state.iter_num)
+    return solver.run(v)
 
 
 # ---- where to start ------------------------------------------------------------------------------
@@ -172,12 +184,13 @@ def _bright_field(
     likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
 ) -> jax.Array:
     amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
-    low = optics.pupil.shape
+    low = optics.out_shape[1:]
+    pupils = np.broadcast_to(np.asarray(optics.pupil), optics.out_shape)
     # The LED's own light, frequency zero, passes the pupil at the place opposite to the centre.
     place = np.array(low) // 2 - np.asarray(optics.centres)
     inside = np.all((place >= 0) & (place < low), axis=1)
     row, column = np.where(inside[:, None], place, 0).T
-    bright = inside & (np.asarray(optics.pupil)[row, column] != 0)
+    bright = inside & (pupils[np.arange(len(row)), row, column] != 0)
     mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
     whole = FourierPtychography(optics.in_shape, np.zeros((1, 2), int), np.ones(low))
     return whole.adjoint(mean[None]) / whole.norm_squared()

@@ -33,6 +33,7 @@ HALF = np.arange(20).reshape(4, 5) < 10
 CROSS = np.zeros((3, 3), bool)
 CROSS[1] = CROSS[:, 1] = True
 PUPIL = np.where(module._disc((6, 4), (2, 2)), complex_normal(6, 4), 0)
+PUPILS = complex_normal(4, 6, 4) * (PUPIL != 0)
 # The window around (-4, 5) leaves the band of (12, 16); the disc inside it does not.
 CENTRES = np.array([[0, 0], [-4, 5], [3, -6], [1, 1]])
 ODD_CENTRES = np.array([[0, 0], [2, -3]])
@@ -51,6 +52,7 @@ CASES = {
     "fourier_cross": lambda: Fourier((3, 3), support=CROSS),
     "ptychography": lambda: FourierPtychography((12, 16), CENTRES, PUPIL),
     "ptychography_odd": lambda: FourierPtychography((11, 13), ODD_CENTRES, complex_normal(5, 7)),
+    "ptychography_pupils": lambda: FourierPtychography((12, 16), CENTRES, PUPILS),
     "coded": lambda: CodedDiffraction(MASKS),
     "coded_complex": lambda: CodedDiffraction(COMPLEX_MASKS),
     "propagation": lambda: Propagation((6, 8), WAVELENGTH, 0.3e-6, 4e-6),
@@ -268,16 +270,17 @@ def test_fourier_is_the_dft(x64, oversampling):
 
 def ptychography_by_rolling(o, centres, pupil):
     """The same fields with no crop: roll the spectrum, and read the low frequencies by name."""
-    rows, columns = (np.rint(np.fft.fftfreq(n) * n).astype(int) for n in pupil.shape)
+    rows, columns = (np.rint(np.fft.fftfreq(n) * n).astype(int) for n in pupil.shape[-2:])
     fields = []
-    for row, column in centres:
+    each = np.broadcast_to(pupil, (len(centres), *pupil.shape[-2:]))
+    for (row, column), pupil in zip(centres, each):
         spectrum = np.roll(np.fft.fft2(o), (-row, -column), (0, 1))
         low = spectrum[np.ix_(rows % o.shape[0], columns % o.shape[1])]
         fields.append(np.fft.ifft2(low * np.fft.ifftshift(pupil)) * pupil.size / o.size)
     return np.array(fields)
 
 
-@pytest.mark.parametrize("name", ["ptychography", "ptychography_odd"])
+@pytest.mark.parametrize("name", ["ptychography", "ptychography_odd", "ptychography_pupils"])
 def test_ptychography_against_a_loop(x64, name):
     optics = CASES[name]()
     o = complex_normal(*optics.in_shape)

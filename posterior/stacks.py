@@ -1,0 +1,190 @@
+"""Measured stacks of Fourier ptychography: an image and a direction of light for each LED."""
+
+import math
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+_KINDS = ("intensity", "amplitude")
+_NUMBERS = {
+    "na": ("na", "NA"),
+    "wavelength": ("wavelength", "wavelength_m"),
+    "pixel_size": ("pixel_size", "pixel_m"),
+}
+# Two discs that overlap less than this share let nothing worth mentioning through.
+_BAND = 0.97
+_FREE = 64  # frequencies of each image, to estimate a variance from
+_BRIGHT = 0.95  # of the aperture: the LED itself is seen
+_SAME_LED = 1e-6
+_MARGIN = 4  # samples, for LEDs that turn out to be elsewhere
+
+
+class Stack(NamedTuple):
+    """What a microscope recorded, LED by LED; lengths in metres.
+
+    - `intensity`: (M, n0, n1) float64, nonnegative, in any unit.
+    - `led_na`: (M, 2), sines (row, column) of the directions in which the object sees the LEDs, as
+      `FourierPtychography.from_microscope` takes them.
+    - `na`, `wavelength`; `pixel_size`: of the camera, over the magnification.
+    """
+
+    intensity: np.ndarray
+    led_na: np.ndarray
+    na: float
+    wavelength: float
+    pixel_size: float
+
+    @property
+    def view(self) -> np.ndarray:
+        """Field of view (2,), metres: a Fourier sample is one over it."""
+        return np.array(self.intensity.shape[1:]) * self.pixel_size
+
+    @property
+    def radii(self) -> np.ndarray:
+        """Semi-axes (2,) of the pupil, in Fourier samples."""
+        return self.na / self.wavelength * self.view
+
+    @property
+    def bright(self) -> np.ndarray:
+        """Which LEDs (M,) shine into the objective: bright field."""
+        return np.linalg.norm(self.led_na, axis=1) < _BRIGHT * self.na
+
+    def of(self, leds: np.ndarray) -> "Stack":
+        """The stack of some of the LEDs, by index or mask."""
+        return self._replace(intensity=self.intensity[leds], led_na=self.led_na[leds])
+
+
+def read_stack(path: str | os.PathLike) -> Stack:
+    """A stack from an NPZ file that holds these arrays.
+
+    - `intensity` or `amplitude`: (M, n0, n1); amplitudes are squared.
+    - `led_na`: (M, 2), as in `Stack`; or `kxky_NA`: (M, 2 or more), the direction (x, y) in which
+      the light of each LED travels, which is the opposite.
+    - `na` or `NA`; `wavelength` or `wavelength_m`; `pixel_size` or `pixel_m`.
+
+    Raises FileNotFoundError; ValueError, in one sentence, for a file that is no such stack, for
+    values that are negative or not finite, for counts of images and LEDs that differ, and for an
+    LED that is there twice.
+    """
+    path = os.fspath(path)
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"no file {path}: give the path of a stack")
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read as an NPZ file: copy it anew") from error
+    kinds = [kind for kind in _KINDS if kind in arrays]
+    if len(kinds) != 1:
+        raise ValueError(
+            f"{path} holds {', '.join(arrays) or 'nothing'}: a stack has one array named intensity "
+            "or amplitude"
+        )
+    images = _images(arrays[kinds[0]], path)
+    if kinds[0] == "amplitude" and (images == np.rint(images)).all():
+        raise ValueError(
+            f"{path} holds amplitudes that are whole numbers, as a camera's intensities are: name "
+            "the array intensity, or save square roots"
+        )
+    numbers = {name: _number(arrays, names, path) for name, names in _NUMBERS.items()}
+    intensity = images**2 if kinds[0] == "amplitude" else images
+    return checked_stack(Stack(intensity, _directions(arrays, path), **numbers))
+
+
+def checked_stack(stack: Stack) -> Stack:
+    """The stack, refused if its parts do not fit together."""
+    images, leds = stack.intensity, stack.led_na
+    if len(images) != len(leds):
+        raise ValueError(f"{len(images)} images for {len(leds)} LEDs: give one image for each LED")
+    for name in _NUMBERS:
+        value = getattr(stack, name)
+        if not 0 < value < np.inf:
+            raise ValueError(f"{name} {value}: give a positive number, lengths in metres")
+    order = np.lexsort(leds.T)
+    twice = np.flatnonzero(np.linalg.norm(np.diff(leds[order], axis=0), axis=1) < _SAME_LED)
+    if len(twice):
+        first, second = sorted(order[twice[0] : twice[0] + 2].tolist())
+        raise ValueError(
+            f"LEDs {first} and {second} are in the same direction: add their images up, or leave "
+            "one out"
+        )
+    dark = np.flatnonzero(images.sum(axis=(1, 2)) <= 0)
+    if len(dark):
+        raise ValueError(f"image {dark[0]} is dark everywhere: leave its LED out")
+    return stack
+
+
+def photon_scale(stack: Stack) -> np.ndarray:
+    """Electrons a unit of intensity, (M,), from the noise of the images themselves.
+
+    No field that passes a pupil of radius na / wavelength has an intensity beyond twice that
+    frequency: what an image holds there is noise, white, of a variance that is the mean over its
+    mean number of electrons (Poisson). Bright-field images are taken to share an exposure and get
+    the median of theirs; each of the others may have its own.
+
+    Approximations: read noise and the ADC's steps count as photon noise; an image is a window of a
+    larger one, tapered by Hann's to keep what leaks over its edges out. Raises ValueError where the
+    camera's pixels are so coarse that nothing lies beyond the band.
+    """
+    shape = stack.intensity.shape[1:]
+    rows, columns = (np.fft.fftfreq(n) * n / r for n, r in zip(shape, stack.radii))
+    free = np.hypot(rows[:, None], columns) > 2 * _BAND
+    if free.sum() < _FREE:
+        raise ValueError(
+            f"only {free.sum()} frequencies of these images lie beyond the band of the pupil, too "
+            f"few to measure noise by ({_FREE}): give electrons, the electrons a unit of intensity"
+        )
+    taper = np.outer(*(np.hanning(n + 2)[1:-1] for n in shape))
+    mean = (stack.intensity * taper**2).sum(axis=(1, 2)) / (taper**2).sum()
+    spectrum = np.fft.fft2((stack.intensity - mean[:, None, None]) * taper)
+    variance = (np.abs(spectrum[:, free]) ** 2).mean(axis=1) / (taper**2).sum()
+    scale = mean / variance
+    if stack.bright.any():
+        scale[stack.bright] = np.median(scale[stack.bright])
+    return scale
+
+
+def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> Stack:
+    """The stack as whole electrons.
+
+    `electrons`: a unit of intensity, one number or (M,); None: by `photon_scale`.
+    """
+    scale = photon_scale(stack) if electrons is None else np.asarray(electrons, float)
+    scale = np.broadcast_to(scale, len(stack.intensity))[:, None, None]
+    return stack._replace(intensity=np.rint(stack.intensity * scale))
+
+
+def least_upsampling(stack: Stack) -> int:
+    """The fewest object pixels for one of the camera, along an axis, whose band holds every LED."""
+    reach = np.abs(stack.led_na).max(axis=0) / stack.wavelength * stack.view + stack.radii
+    return math.ceil((2 * (reach + _MARGIN) / stack.intensity.shape[1:]).max())
+
+
+def _images(images: np.ndarray, path: str) -> np.ndarray:
+    if images.ndim != 3 or 0 in images.shape:
+        raise ValueError(f"{path} holds images of shape {images.shape}: give (LEDs, height, width)")
+    if images.dtype.kind not in "uif":
+        raise ValueError(f"{path} holds {images.dtype} images: give real numbers")
+    images = images.astype(np.float64)
+    if not np.isfinite(images).all():
+        raise ValueError(f"{path} holds NaN or infinity: replace what is missing")
+    if images.min() < 0:
+        raise ValueError(f"{path} holds the value {images.min():.3g}: light is not negative")
+    return images
+
+
+def _directions(arrays: dict[str, np.ndarray], path: str) -> np.ndarray:
+    if ("led_na" in arrays) == ("kxky_NA" in arrays):
+        raise ValueError(f"{path}: give the directions of the LEDs as led_na, or as kxky_NA")
+    found = arrays["led_na"] if "led_na" in arrays else -arrays["kxky_NA"][:, 1::-1]
+    if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
+        raise ValueError(f"{path}: directions of shape {found.shape}, give (LEDs, 2), all finite")
+    return found.astype(np.float64)
+
+
+def _number(arrays: dict[str, np.ndarray], names: tuple[str, ...], path: str) -> float:
+    found = [arrays[name] for name in names if name in arrays]
+    if len(found) != 1 or found[0].size != 1:
+        raise ValueError(f"{path} has no {names[0]}: save it as one number")
+    return float(found[0].item())

@@ -1,0 +1,215 @@
+"""Measured stacks: read, refused, counted in electrons, and the microscope found again."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from skimage import data
+from skimage.transform import resize
+
+from posterior import models, presets, stacks
+from posterior.diagnostics import misfit
+from posterior.estimators import Calibrated, Calibration, calibrate, maximum_likelihood
+from posterior.models.pupil import pupils
+from posterior.stacks import Stack, in_electrons, photon_scale, read_stack
+
+LOW, UPSAMPLING, PIXEL, WAVELENGTH, NA = 32, 3, 1.6e-6, 0.6e-6, 0.1
+RADIUS = NA / WAVELENGTH * LOW * PIXEL  # 8.5 of 16 samples
+PITCH = 0.42 * NA
+
+
+def led_grid(side=5):
+    axis = PITCH * (np.arange(side) - side // 2)
+    return np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2) + 1e-5
+
+
+def specimen():
+    size = UPSAMPLING * LOW
+    grey = resize(data.cell() / 255.0, (size, size), anti_aliasing=True)
+    return presets.complex_object((grey - grey.min()) / np.ptp(grey))
+
+
+def recorded(calibration, electrons, key=0, leds=None):
+    """A stack of counts; `electrons` where the amplitude is 1, one number or one an LED."""
+    leds = led_grid() if leds is None else leds
+    blank = Stack(np.ones((len(leds), LOW, LOW)), leds, NA, WAVELENGTH, PIXEL)
+    field = np.asarray(calibration.optics(blank, UPSAMPLING)(jnp.asarray(specimen())))
+    light = np.abs(field) ** 2 * np.broadcast_to(electrons, len(leds))[:, None, None]
+    return blank._replace(intensity=np.random.default_rng(key).poisson(light).astype(float))
+
+
+NOMINAL = Calibration(np.zeros(4), np.zeros(19))
+WRONG = Calibration(np.array([0.4, -0.3, 0.02, 0.015]), np.r_[0.6, 0.2, -0.15, 0.1, np.zeros(15)])
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def saved(path, **changes):
+    arrays = {
+        "intensity": np.random.default_rng(0).random((2, 8, 8)),
+        "led_na": np.array([[0.0, 0.0], [0.03, -0.05]]),
+        "na": 0.1,
+        "wavelength": 0.6e-6,
+        "pixel_size": 2e-6,
+    } | changes
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    return path
+
+
+def test_both_conventions_give_the_same_stack(tmp_path):
+    plain = read_stack(saved(tmp_path / "plain.npz"))
+    theirs = {
+        "amplitude": np.sqrt(plain.intensity),
+        "kxky_NA": np.array([[0.0, 0.0, 0.0], [0.05, -0.03, 0.058]]),
+        "NA": 0.1,
+        "wavelength_m": 0.6e-6,
+        "pixel_m": 2e-6,
+    }
+    nothing = dict.fromkeys(["intensity", "led_na", "na", "wavelength", "pixel_size"])
+    other = read_stack(saved(tmp_path / "theirs.npz", **(nothing | theirs)))
+    for ours, given in zip(plain, other):
+        np.testing.assert_allclose(given, ours, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes, sentence",
+    [
+        ({"intensity": None}, "one array named intensity or amplitude"),
+        ({"amplitude": np.ones((2, 8, 8))}, "one array named intensity or amplitude"),
+        ({"intensity": np.ones((3, 8, 8))}, "3 images for 2 LEDs"),
+        ({"intensity": np.ones((8, 8))}, r"shape \(8, 8\)"),
+        ({"intensity": -np.ones((2, 8, 8))}, "value -1: light is not negative"),
+        ({"intensity": np.full((2, 8, 8), np.nan)}, "NaN or infinity"),
+        ({"intensity": np.ones((2, 8, 8), complex)}, "complex128 images"),
+        ({"intensity": np.zeros((2, 8, 8))}, "image 0 is dark everywhere"),
+        (
+            {"intensity": None, "amplitude": np.ones((2, 8, 8), np.uint8)},
+            "amplitudes that are whole numbers",
+        ),
+        ({"led_na": np.zeros((2, 2))}, "LEDs 0 and 1 are in the same direction"),
+        ({"led_na": np.zeros(2)}, r"directions of shape \(2,\)"),
+        ({"led_na": None}, "give the directions of the LEDs"),
+        ({"na": None}, "has no na"),
+        ({"wavelength": -1.0}, "wavelength -1.0: give a positive number"),
+    ],
+)
+def test_a_file_that_is_no_stack_is_refused(tmp_path, changes, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        read_stack(saved(tmp_path / "stack.npz", **changes))
+
+
+def test_a_missing_and_a_truncated_file_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="give the path"):
+        read_stack(tmp_path / "none.npz")
+    path = saved(tmp_path / "stack.npz")
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ValueError, match="cannot be read as an NPZ file"):
+        read_stack(path)
+
+
+# ---- electrons -----------------------------------------------------------------------------------
+
+
+def test_electrons_are_counted_by_the_noise_of_the_images():
+    """Each image's noise beyond the band has as many degrees of freedom as frequencies there, fewer
+    by the taper's 2 per axis; the bright ones share the median of their exposures."""
+    units = np.where(np.arange(25) % 2, 0.02, 0.3)
+    stack = recorded(NOMINAL, 400.0)
+    bright = stack.bright
+    units[bright] = 0.05
+    stack = stack._replace(intensity=stack.intensity * units[:, None, None])
+    ratio = photon_scale(stack) * units
+    rows = np.fft.fftfreq(LOW) * LOW / RADIUS
+    free = np.sum(np.hypot(rows[:, None], rows) > 2 * 0.97)
+    error = np.sqrt(2 / free * 1.94**2)
+    assert bright.sum() >= 9 and not bright.all()
+    assert abs(ratio[bright][0] - 1) < 4 * 1.25 * error / np.sqrt(bright.sum())
+    assert np.abs(ratio[~bright] - 1).max() < 4 * error
+    assert np.sqrt(np.mean((ratio[~bright] - 1) ** 2)) < 2 * error
+
+
+def test_given_electrons_are_taken_and_pixels_too_coarse_are_told():
+    stack = recorded(NOMINAL, 400.0)
+    halved = in_electrons(stack, 0.5).intensity
+    np.testing.assert_array_equal(halved, np.rint(stack.intensity / 2))
+    with pytest.raises(ValueError, match="too few to measure noise by"):
+        photon_scale(stack._replace(na=0.16))
+
+
+# ---- calibration ---------------------------------------------------------------------------------
+
+
+def held_out_misfit(found, stack):
+    likelihood, y = found.calibration.likelihood(stack, UPSAMPLING, found.object)
+    return misfit(likelihood, y, found.object[None])
+
+
+def believing(calibration, stack):
+    """The object of highest likelihood, and LEDs as bright as suit it, in turns."""
+    o = calibrate(stack, UPSAMPLING, rounds=0, progress=False).object
+    for _ in range(4):
+        likelihood, y = calibration.likelihood(stack, UPSAMPLING, o)
+        o = np.asarray(maximum_likelihood(likelihood, y, o).object)
+    return Calibrated(calibration, o)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Half of the LEDs, told apart as on a chess board, and the other half; brightness varies."""
+    brightness = 3000 * np.random.default_rng(2).uniform(0.7, 1.3, 49)
+    stack = recorded(WRONG, brightness, leds=led_grid(7))
+    fitted = np.arange(49) % 2 == 0
+    return stack.of(fitted), stack.of(~fitted)
+
+
+def test_the_microscope_is_found_again(measured):
+    fitted, held_out = measured
+    found = calibrate(fitted, UPSAMPLING, progress=False)
+    leds, aberration = found.calibration
+    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=0.05)
+    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=0.005)
+    np.testing.assert_allclose(aberration, WRONG.aberration, atol=0.02)
+    right = held_out_misfit(found, held_out)
+    wrong = held_out_misfit(believing(NOMINAL, fitted), held_out)
+    print(f"misfit of the LEDs held out: {right:.3f}; with the nominal microscope {wrong:.3f}")
+    assert right < 1.2 < 3 < wrong
+
+
+def test_intensities_that_are_no_electrons_are_refused(measured):
+    fitted, _ = measured
+    with pytest.raises(ValueError, match="use in_electrons first"):
+        calibrate(fitted._replace(intensity=fitted.intensity / 3), UPSAMPLING)
+
+
+def test_optics_of_a_calibration_have_their_pupils_where_the_leds_are():
+    blank = recorded(WRONG, 1.0)
+    optics = WRONG.optics(blank, UPSAMPLING)
+    places = led_grid() / WAVELENGTH * LOW * PIXEL
+    turned = np.stack([-places[:, 1], places[:, 0]], 1)
+    places = places * 1.02 + 0.015 * turned + [0.4, -0.3]
+    offsets = places - optics.centres
+    assert np.abs(offsets).max() <= 0.5
+    expected = pupils((LOW, LOW), (RADIUS, RADIUS), offsets, WRONG.aberration)
+    np.testing.assert_allclose(optics.pupil, expected, atol=1e-5)
+
+
+def test_the_least_upsampling_holds_every_led():
+    blank = recorded(NOMINAL, 1.0)
+    needed = stacks.least_upsampling(blank)
+    NOMINAL.optics(blank, needed)
+    with pytest.raises(ValueError, match="leaves the band"):
+        NOMINAL.optics(blank, needed - 1)
+
+
+def test_one_pupil_an_led_is_as_many_as_there_are_leds():
+    centres = np.array([[0, 0], [1, 1]])
+    with pytest.raises(ValueError, match="one for each of the 2 LEDs"):
+        models.FourierPtychography((16, 16), centres, np.ones((3, 4, 4)))
+    key = jax.random.key(0)
+    pupil = np.asarray(jax.random.normal(key, (2, 4, 4)))
+    both = models.FourierPtychography((16, 16), centres, pupil)
+    o = jax.random.normal(key, (16, 16)) + 0j
+    for i in range(2):
+        one = models.FourierPtychography((16, 16), centres[i : i + 1], pupil[i])
+        np.testing.assert_allclose(both(o)[i], one(o)[0], rtol=1e-5)
