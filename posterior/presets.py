@@ -172,10 +172,14 @@ def measured(
     shape = tuple(upsampling * n for n in stack.intensity.shape[1:])
     known, names = _prior(PTYCHOGRAPHY, shape, prior, None, needs)
     found = calibrate(stack, upsampling, progress=progress)
-    brighter = _mean_energy(known) / float(np.sum(np.abs(found.object) ** 2, dtype=float))
-    o = found.object * brighter**0.5
+    o = found.object * prior_scale(found.object, known)
     likelihood, y = found.calibration.likelihood(stack, upsampling, o)
     return Question(Problem(likelihood, known), y, None, None, names)
+
+
+def prior_scale(o: np.ndarray, prior: GaussianField | LearnedPrior) -> float:
+    """By what to multiply an object (*shape), so that its energy is the mean of the prior's."""
+    return (_mean_energy(prior) / float(np.sum(np.abs(o) ** 2, dtype=float))) ** 0.5
 
 
 def _problem(optics: Optics, camera: Poisson, prior: Prior, irradiance: float | None) -> Problem:

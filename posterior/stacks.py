@@ -17,6 +17,7 @@ _BAND = 0.97
 _FREE = 64  # frequencies of each image, to estimate a variance from
 _BRIGHT = 0.95  # of the aperture: the LED itself is seen
 _SAME_LED = 1e-6
+_MOST = 2**23 - 2  # electrons, by what Poisson cameras count
 _MARGIN = 4  # samples, for LEDs that turn out to be elsewhere
 
 
@@ -101,10 +102,10 @@ def checked_stack(stack: Stack) -> Stack:
         value = getattr(stack, name)
         if not 0 < value < np.inf:
             raise ValueError(f"{name} {value}: give a positive number, lengths in metres")
-    order = np.lexsort(leds.T)
-    twice = np.flatnonzero(np.linalg.norm(np.diff(leds[order], axis=0), axis=1) < _SAME_LED)
+    apart = np.linalg.norm(leds[:, None] - leds[None], axis=-1)
+    twice = np.argwhere(np.triu(apart < _SAME_LED, 1))
     if len(twice):
-        first, second = sorted(order[twice[0] : twice[0] + 2].tolist())
+        first, second = twice[0]
         raise ValueError(
             f"LEDs {first} and {second} are in the same direction: add their images up, or leave "
             "one out"
@@ -139,7 +140,8 @@ def photon_scale(stack: Stack) -> np.ndarray:
     mean = (stack.intensity * taper**2).sum(axis=(1, 2)) / (taper**2).sum()
     spectrum = np.fft.fft2((stack.intensity - mean[:, None, None]) * taper)
     variance = (np.abs(spectrum[:, free]) ** 2).mean(axis=1) / (taper**2).sum()
-    scale = mean / variance
+    # Of an even image nothing is left.
+    scale = mean / np.maximum(variance, np.finfo(float).tiny)
     if stack.bright.any():
         scale[stack.bright] = np.median(scale[stack.bright])
     return scale
@@ -148,11 +150,23 @@ def photon_scale(stack: Stack) -> np.ndarray:
 def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> Stack:
     """The stack as whole electrons.
 
-    `electrons`: a unit of intensity, one number or (M,); None: by `photon_scale`.
+    `electrons`: a unit of intensity, one number or (M,); None: by `photon_scale`. Raises ValueError
+    for electrons that are not positive, and where more come out than a camera counts, as they do of
+    images without noise.
     """
     scale = photon_scale(stack) if electrons is None else np.asarray(electrons, float)
-    scale = np.broadcast_to(scale, len(stack.intensity))[:, None, None]
-    return stack._replace(intensity=np.rint(stack.intensity * scale))
+    if scale.shape not in ((), (len(stack.intensity),)) or not np.all(scale > 0):
+        raise ValueError(
+            f"electrons of shape {scale.shape}, the least {np.min(scale):.3g}: give one positive "
+            f"number, or one for each of the {len(stack.intensity)} images"
+        )
+    counts = np.rint(stack.intensity * np.broadcast_to(scale, len(stack.intensity))[:, None, None])
+    if not counts.max() <= _MOST:
+        raise ValueError(
+            f"the brightest pixel comes to {counts.max():.3g} electrons, and no more than {_MOST} "
+            "are told apart: the images hold hardly any noise to count them by, give electrons"
+        )
+    return stack._replace(intensity=counts)
 
 
 def least_upsampling(stack: Stack) -> int:

@@ -76,25 +76,31 @@ class Options:
             _check_range(option, getattr(self, option), least, most)
         if is_trained(self.prior):
             weights_card(self.prior, sampling.needs)
-        simulated = self.image is not None
+        full_well, bits = self._camera(application)
         return dataclasses.replace(
             self,
             image=_absolute(self.image),
             data=_absolute(self.data),
             stack=_absolute(self.stack),
             prior=self.prior if self.prior in shipped_names() else _absolute(self.prior),
-            full_well=self._full_well(application),
-            bits=(application.bits if simulated else 0) if self.bits is None else self.bits,
+            full_well=full_well,
+            bits=bits,
             sampler=name,
             draws=sampling.draws if self.draws is None else self.draws,
             thin=sampling.thin if self.thin is None else self.thin,
         )
 
-    def _full_well(self, application: Application) -> int | None:
-        """Of a simulated camera, if not said, the application's own; a stack tells its own."""
-        if self.image is None or self.full_well is not None:
-            return self.full_well
-        return application.full_well
+    def _camera(self, application: Application) -> tuple[int | None, int | None]:
+        """Full well and bits: as said, or the application's own; a stack tells its own."""
+        if self.stack is not None:
+            return None, None
+        full_well, bits = None, 0
+        if self.image is not None:
+            full_well, bits = application.full_well, application.bits
+        return (
+            full_well if self.full_well is None else self.full_well,
+            bits if self.bits is None else self.bits,
+        )
 
     def _refuse_beside_a_stack(self) -> None:
         if self.problem != PTYCHOGRAPHY:

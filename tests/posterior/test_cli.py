@@ -474,3 +474,51 @@ def test_repeat_refuses_an_input_that_has_changed(denoised, folder, tmp_path, ca
     path.write_text(json.dumps(settings))
     said = _repeat_refused(capsys, path, "--out", tmp_path / "out")
     assert "prior picture 1.png has changed since the run" in said
+
+
+# ---- measured stacks -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory):
+    """Nine LEDs of a microscope of NA 0.1, 16x16 camera pixels."""
+    axis = 0.06 * np.arange(-1, 2)
+    numbers = {"na": 0.1, "wavelength": 0.6e-6, "pixel_size": 1.4e-6}
+    leds = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    optics = models.FourierPtychography.from_microscope(
+        (48, 48), upsampling=3, led_na=leds, **numbers
+    )
+    o = presets.complex_object(_smooth(48)).astype(np.complex64)
+    counts = RNG.poisson(200 * np.abs(np.asarray(optics(o))) ** 2)
+    path = tmp_path_factory.mktemp("stack") / "stack.npz"
+    np.savez(path, intensity=counts, led_na=leds, **numbers)
+    return path
+
+
+def test_a_measured_stack(folder, stack, tmp_path, capsys):
+    """Drawn, said, and drawn again; and a file that is no stack refused."""
+    arguments = ("--prior", folder / "specimen.npy", *SMALL)
+    out = tmp_path / "run"
+    assert _main("sample", "ptychography", "--stack", stack, "--out", out, *arguments) == 0
+    assert {f.name for f in out.iterdir()} == COMPLEX
+    said = capsys.readouterr().out
+    assert said.startswith("ptychography of stack.npz: mala") and "squared residual" in said
+    again = tmp_path / "again"
+    assert _main("repeat", out / "settings.json", "--out", again, "--quiet") == 0
+    first, second = (ps.load(path / "draws.nc").values for path in (out, again))
+    np.testing.assert_array_equal(second, first)
+
+
+@pytest.mark.parametrize(
+    "problem, option, sentence",
+    [
+        ("ptychography", ("--full-well", 100), "--full-well 100: a stack says so itself"),
+        ("ptychography", ("--size", 64), "--size 64: a stack says so itself"),
+        ("ptychography", ("--data", "x.tif"), "give either --image"),
+        ("denoising", (), "--stack is for ptychography"),
+    ],
+)
+def test_what_cannot_go_with_a_stack(stack, tmp_path, capsys, problem, option, sentence):
+    out = tmp_path / "run"
+    assert _main("sample", problem, "--stack", stack, "--out", out, *option) == 2
+    assert sentence in capsys.readouterr().err and not out.exists()

@@ -133,6 +133,12 @@ def test_given_electrons_are_taken_and_pixels_too_coarse_are_told():
     stack = recorded(NOMINAL, 400.0)
     halved = in_electrons(stack, 0.5).intensity
     np.testing.assert_array_equal(halved, np.rint(stack.intensity / 2))
+    with pytest.raises(ValueError, match=r"electrons of shape \(3,\)"):
+        in_electrons(stack, np.ones(3))
+    with pytest.raises(ValueError, match="the least -1"):
+        in_electrons(stack, -1)
+    with pytest.raises(ValueError, match="hardly any noise to count them by"):
+        in_electrons(stack._replace(intensity=np.ones_like(stack.intensity)))
     with pytest.raises(ValueError, match="too few to measure noise by"):
         photon_scale(stack._replace(na=0.16))
 
