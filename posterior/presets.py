@@ -520,18 +520,20 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
 
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
     for an object behind a field from where its annealing error is 0.4 of the noise. There it begins
-    at the sd of a channel, where a start is not forgotten; far-field magnitudes say so much less
-    of the object that it takes half of that, and more levels.
+    where a start is not forgotten, but its errors are: far-field magnitudes at half the sd of a
+    channel, other fields at 15 times the noise, for quasi-Newton is that far off in the lowest
+    frequencies, of whose phase they tell next to nothing.
     """
-    finest = posterior.prior.finest
+    prior, steps = posterior.prior, {"steps": 4, "path": path, "descent": 6}
     if isinstance(posterior.likelihood, LinearLikelihood):
-        return AnnealedLangevin(levels=45, steps=4, path=path, sigma_min=2 * finest, descent=6)
-    finest = max(0.4 * float(posterior.data_level()), finest)
-    broadest, levels = float(posterior.prior.scale), 40
+        return AnnealedLangevin(levels=45, sigma_min=2 * prior.finest, **steps)
+    noise = float(posterior.data_level())
+    finest = max(0.4 * noise, prior.finest)
     if has_magnitudes(posterior.likelihood.optics):
-        broadest, levels = broadest / 2, 60
-    ends = {"sigma_max": max(broadest, finest), "sigma_min": finest}
-    return AnnealedLangevin(levels=levels, steps=4, path=path, descent=6, **ends)
+        broadest = float(prior.scale) / 2
+    else:
+        broadest = min(max(float(prior.scale), 15 * noise), prior.statistics.sigma_max)
+    return AnnealedLangevin(levels=60, sigma_max=max(broadest, finest), sigma_min=finest, **steps)
 
 
 def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
