@@ -56,7 +56,8 @@ def doubts(
         said += _out_of_range(card, picture)
     if "rhat" not in results and "ess" not in results:
         said.append(
-            "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4"
+            "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4 "
+            "and --draws 4"
         )
     if results.get("rhat", 0.0) > MIXED:
         said.append(

@@ -201,14 +201,3 @@ def test_nuts_is_tuned_by_its_warmup():
     sampler = samplers.BlackJAX(blackjax.nuts)
     values = run(post, sampler, chains=4, draws=500, warmup=500).values
     assert diagnostics.rhat(values).max() < 1.05
-
-
-def test_annealed_langevin_runs_on_ptychography():
-    centres = [[0, 0], [2, 2], [-2, 1]]
-    optics = models.FourierPtychography.from_radius((16, 16), centres, 3.0, 2)
-    prior = models.GaussianField(np.full((16, 16), 0.1), 1.0, dtype=complex)
-    likelihood = models.IntensityLikelihood(optics, models.Poisson(1000), irradiance=0.3)
-    problem = ps.Problem(likelihood, prior)
-    _, y = problem.simulate(jax.random.key(0))
-    values = run(problem.condition(y), samplers.AnnealedLangevin(levels=5, steps=2), draws=1).values
-    assert values.shape == (2, 1, 16, 16)
