@@ -3,5 +3,6 @@
 from .convergence import ess, mcse, rhat
 from .distance import noise_floor, sliced_wasserstein
 from .gauge import Gauge, align, gauge_to
+from .modes import Modes, modes
 from .predictive import misfit
 from .spread import circular_mean, circular_sd, interval, interval_width, spread_over_error

@@ -6,17 +6,19 @@ import numpy as np
 
 from ..diagnostics.convergence import ess, rhat
 from ..diagnostics.gauge import align, gauge_to
+from ..diagnostics.modes import modes
 from ..diagnostics.plots import complex_maps
 from ..diagnostics.predictive import misfit
 from ..diagnostics.spread import interval, interval_width
 from ..draws import Draws
 from ..models.optics import GLOBAL_PHASE, Optics
-from ..presets import DENOISING, Question
+from ..presets import DENOISING, PHASE_RETRIEVAL, Question
 from ..samplers import Sampler
 from ..samplers.base import PopulationSampler
 
 LEVEL = 0.9
 MIXED = 1.05
+_COMPARED = 50  # draws of a chain, for modes: all pairs are compared
 
 
 class Summary(NamedTuple):
@@ -46,6 +48,9 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
         results |= _coverages(values, truth)
     results |= _convergence(values, sampler)
     results["misfit"] = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
+    if problem == PHASE_RETRIEVAL and values.shape[0] * values.shape[1] > 2:
+        weights = modes(values[:, :: max(1, values.shape[1] // _COMPARED)]).weights
+        results |= {"modes": len(weights), "largest_mode": float(weights[0])}
     if np.iscomplexobj(values):
         maps = complex_maps(values, LEVEL)
         sd = np.stack([maps.sd_amplitude, maps.sd_phase])

@@ -65,6 +65,11 @@ def doubts(
             f"{100 * results['unmixed']:.1f} % of the pixels, up to {results['rhat']:.3g}; do not "
             "trust the intervals there, give more --thin, --draws or --warmup"
         )
+    if results.get("modes", 1) > 1:
+        said.append(
+            f"the draws fall into {results['modes']} modes, {100 * results['largest_mode']:.0f} % "
+            "of them into the largest: mean and sd are of no one object, look at the draws"
+        )
     if results.get("ess", _FEW) < _FEW:
         said.append(
             f"only {results['ess']:.0f} effective draws in the worst pixel: the ends of its "

