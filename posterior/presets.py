@@ -557,7 +557,9 @@ SAMPLERS = {
 }
 
 
-def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) -> np.ndarray | None:
+def start_of(
+    sampler: str, posterior: Posterior, key: jax.Array, chains: int, progress: bool = False
+) -> np.ndarray | None:
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
@@ -571,8 +573,8 @@ def start_of(sampler: str, posterior: Posterior, key: jax.Array, chains: int) ->
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
             return from_estimates(posterior, chains)
-        return from_magnitudes(posterior, learned_annealing(posterior), key, chains)
+        return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
     search = from_magnitudes if magnitudes else annealed
-    return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains)
+    return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains, progress=progress)

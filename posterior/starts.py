@@ -25,9 +25,10 @@ def annealed(
     key: jax.Array,
     chains: int,
     start: np.ndarray | None = None,
+    progress: bool = False,
 ) -> np.ndarray:
     """Ends (chains, *shape) of one annealing run a chain, from `start`, noised, or from nowhere."""
-    settings = {"draws": 1, "warmup": 0, "progress": False}
+    settings = {"draws": 1, "warmup": 0, "progress": progress}
     found = sample(posterior, scout, key, chains=chains, start=start, **settings)
     return found.values[:, 0]
 
@@ -40,7 +41,11 @@ def has_magnitudes(optics: Optics) -> bool:
 
 
 def from_magnitudes(
-    posterior: Posterior, scout: AnnealedLangevin, key: jax.Array, chains: int
+    posterior: Posterior,
+    scout: AnnealedLangevin,
+    key: jax.Array,
+    chains: int,
+    progress: bool = False,
 ) -> np.ndarray:
     """Starts (chains, *shape) for phase retrieval; `scout` is the annealing between the choices.
 
@@ -60,7 +65,7 @@ def from_magnitudes(
     shape = pool.shape
     for generation in keys:
         flat = pool.reshape(-1, *posterior.shape)
-        pool = annealed(posterior, scout, generation, len(flat), flat).reshape(shape)
+        pool = annealed(posterior, scout, generation, len(flat), flat, progress).reshape(shape)
         pool = np.stack([_heirs(posterior, candidates) for candidates in pool])
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
 

@@ -142,7 +142,9 @@ def _draw(
             draws=options.draws,
             warmup=options.warmup,
             thin=options.thin,
-            start=presets.start_of(options.sampler, posterior, key_start, options.chains),
+            start=presets.start_of(
+                options.sampler, posterior, key_start, options.chains, progress=not quiet
+            ),
             progress=not quiet,
             checkpoint=checkpoint,
         )
