@@ -25,9 +25,11 @@ def modes(values: np.ndarray, gap: float = _GAP) -> Modes:
     something: of 4 to 200 draws of a Gaussian in 16 dimensions or more no set was split, of 50 in 4
     dimensions 85 % were. Modes nearer than 2.4 sd a dimension count as one.
 
-    A weight is a share of the draws: of the posterior only if the sampler travels between modes.
-    Of chains that stay in the valley where they started it is a share of the starts. Raises
-    ValueError for fewer than 3 draws.
+    The draws must each come from a run of their own: of a chain that moves slowly the nearest to a
+    draw is the one before, and its draws seem many modes. Copies are told apart by nothing, and
+    all count in their mode's weight. A weight is a share of the draws: of the posterior only if the
+    sampler travels between modes. Of chains that stay in the valley where they started it is a
+    share of the starts. Raises ValueError for fewer than 3 draws.
     """
     values = np.asarray(values)
     chains, draws = values.shape[:2]
@@ -36,11 +38,15 @@ def modes(values: np.ndarray, gap: float = _GAP) -> Modes:
     flat = values.reshape(chains * draws, -1)
     if np.iscomplexobj(flat):
         flat = np.concatenate([flat.real, flat.imag], axis=1)
+    flat, copies = np.unique(flat, axis=0, return_inverse=True)
+    if len(flat) < 3:
+        return Modes(copies.reshape(chains, draws) * 0, np.ones(1))
     distances = pdist(flat)
     apart = squareform(distances)
     np.fill_diagonal(apart, np.inf)
     typical = np.median(apart.min(axis=1))
     found = fcluster(linkage(distances, "single"), gap * typical, "distance")
+    found = found[copies.ravel()]
     _, labels, counts = np.unique(found, return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     labels = np.argsort(order)[labels].reshape(chains, draws)

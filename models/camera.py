@@ -51,6 +51,11 @@ class Camera(eqx.Module):
         """Signal above which a recording tells only that it was above it; inf if there is none."""
         return math.inf
 
+    @property
+    def adc_variance(self) -> float:
+        """Variance of an ADC's rounding where its steps are finer than the noise; 0.0 if none."""
+        return 0.0
+
     @abc.abstractmethod
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
         """One recording of the expected signal: its shape, its dtype, normalised units.
@@ -143,7 +148,7 @@ class _CountingCamera(Camera):
         return 2**self.bits - 1
 
     @property
-    def _adc_variance(self) -> float:
+    def adc_variance(self) -> float:
         return 0.0 if self.bits is None else 1 / (12 * self._top**2)
 
     def from_codes(self, codes: np.ndarray) -> jax.Array:
@@ -241,7 +246,7 @@ class Poisson(_CountingCamera):
 
     @property
     def read_variance(self) -> float:
-        return self._adc_variance
+        return self.adc_variance
 
     @property
     def saturation(self) -> float:
@@ -352,7 +357,7 @@ class PoissonGaussian(_CountingCamera):
 
     @property
     def read_variance(self) -> float:
-        return (self.read_noise / self.full_well) ** 2 + self._adc_variance
+        return (self.read_noise / self.full_well) ** 2 + self.adc_variance
 
     @property
     def saturation(self) -> float:

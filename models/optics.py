@@ -668,9 +668,10 @@ def _pupil(pupil: ArrayLike, leds: int) -> np.ndarray:
 
 def _reach(centres: np.ndarray, pupil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest frequency (M, 2) that the pupil lets through around each centre."""
-    passing = (pupil != 0).reshape(-1, *pupil.shape[-2:]).any(axis=0)
-    offsets = np.argwhere(passing) - np.array(passing.shape) // 2
-    return centres + offsets.min(axis=0), centres + offsets.max(axis=0)
+    middle = np.array(pupil.shape[-2:]) // 2
+    passing = [np.argwhere(p) - middle for p in (pupil != 0).reshape(-1, *pupil.shape[-2:])]
+    low, high = (np.array([f(o, axis=0) for o in passing]) for f in (np.min, np.max))
+    return centres + low, centres + high
 
 
 def _largest_transmission(

@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-NOLL_FIRST, NOLL_LAST = 4, 11
-ABERRATIONS = NOLL_LAST - NOLL_FIRST + 1
+# Without piston and tilts, which no intensity shows.
+NOLL_FIRST = 4
 
-_EDGE = 0.5  # samples: the width over which the edge of a disc falls in the mean over a sample
+_EDGE = 0.5  # samples: a disc's edge, averaged over a sample, is about so soft
 _BEYOND = 1.5  # radii, where polynomials of the sixth order are no longer wanted
 _PASSING = 1e-3
 

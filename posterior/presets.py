@@ -79,8 +79,8 @@ APPLICATIONS = {
 class Question(NamedTuple):
     """A problem and its recording `y`; `truth` is the object, where it is known.
 
-    `irradiance` is None for denoising; `prior` names the pictures that the prior was fitted to,
-    each with the SHA-256 of what was fitted.
+    `irradiance` is None for denoising and measured stacks; `prior` names the pictures that the
+    prior was fitted to, each with the SHA-256 of what was fitted.
     """
 
     problem: Problem

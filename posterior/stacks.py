@@ -18,7 +18,9 @@ _FREE = 64  # frequencies of each image, to estimate a variance from
 _BRIGHT = 0.95  # of the aperture: the LED itself is seen
 _SAME_LED = 1e-6
 _MOST = 2**23 - 2  # electrons, by what Poisson cameras count
-_MARGIN = 4  # samples, for LEDs that turn out to be elsewhere
+_MARGIN = 5  # samples, for the soft edge of a pupil and LEDs that turn out to be elsewhere
+_LARGEST_NA = 1.6
+_LEAST_RADIUS = 2  # samples
 
 
 class Stack(NamedTuple):
@@ -102,6 +104,18 @@ def checked_stack(stack: Stack) -> Stack:
         value = getattr(stack, name)
         if not 0 < value < np.inf:
             raise ValueError(f"{name} {value}: give a positive number, lengths in metres")
+    steepest = np.linalg.norm(leds, axis=1).max()
+    if max(steepest, stack.na) >= _LARGEST_NA:
+        raise ValueError(
+            f"na {stack.na:.3g}, and {steepest:.3g} of the steepest LED: give sines below "
+            f"{_LARGEST_NA}, not degrees"
+        )
+    if stack.radii.min() < _LEAST_RADIUS or 2 * stack.radii.max() > max(images.shape[1:]):
+        raise ValueError(
+            f"the pupil has a radius of {stack.radii.max():.3g} Fourier samples, and images of "
+            f"{images.shape[1:]} hold {_LEAST_RADIUS} to half their width: give wavelength and "
+            "pixel_size (over the magnification) in metres"
+        )
     apart = np.linalg.norm(leds[:, None] - leds[None], axis=-1)
     twice = np.argwhere(np.triu(apart < _SAME_LED, 1))
     if len(twice):
@@ -134,7 +148,7 @@ def photon_scale(stack: Stack) -> np.ndarray:
     if free.sum() < _FREE:
         raise ValueError(
             f"only {free.sum()} frequencies of these images lie beyond the band of the pupil, too "
-            f"few to measure noise by ({_FREE}): give electrons, the electrons a unit of intensity"
+            f"few to measure noise by ({_FREE}): give electrons=, those a unit of intensity"
         )
     taper = np.outer(*(np.hanning(n + 2)[1:-1] for n in shape))
     mean = (stack.intensity * taper**2).sum(axis=(1, 2)) / (taper**2).sum()
@@ -164,9 +178,9 @@ def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> S
     if not counts.max() <= _MOST:
         raise ValueError(
             f"the brightest pixel comes to {counts.max():.3g} electrons, and no more than {_MOST} "
-            "are told apart: the images hold hardly any noise to count them by, give electrons"
+            "are told apart: the images hold hardly any noise to count by, give electrons="
         )
-    return stack._replace(intensity=counts)
+    return checked_stack(stack._replace(intensity=counts))
 
 
 def least_upsampling(stack: Stack) -> int:
@@ -191,14 +205,20 @@ def _images(images: np.ndarray, path: str) -> np.ndarray:
 def _directions(arrays: dict[str, np.ndarray], path: str) -> np.ndarray:
     if ("led_na" in arrays) == ("kxky_NA" in arrays):
         raise ValueError(f"{path}: give the directions of the LEDs as led_na, or as kxky_NA")
-    found = arrays["led_na"] if "led_na" in arrays else -arrays["kxky_NA"][:, 1::-1]
-    if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
-        raise ValueError(f"{path}: directions of shape {found.shape}, give (LEDs, 2), all finite")
-    return found.astype(np.float64)
+    name = "led_na" if "led_na" in arrays else "kxky_NA"
+    found = arrays[name]
+    columns = found.shape[1] if found.ndim == 2 else 0
+    fits = columns == 2 if name == "led_na" else columns >= 2
+    if not fits or found.dtype.kind not in "uif" or not np.isfinite(found).all():
+        raise ValueError(
+            f"{path}: {name} has shape {found.shape} and dtype {found.dtype}, give (LEDs, 2) real "
+            "numbers, all finite"
+        )
+    return (found if name == "led_na" else -found[:, 1::-1]).astype(np.float64)
 
 
 def _number(arrays: dict[str, np.ndarray], names: tuple[str, ...], path: str) -> float:
     found = [arrays[name] for name in names if name in arrays]
-    if len(found) != 1 or found[0].size != 1:
+    if len(found) != 1 or found[0].size != 1 or found[0].dtype.kind not in "uif":
         raise ValueError(f"{path} has no {names[0]}: save it as one number")
     return float(found[0].item())

@@ -105,7 +105,7 @@ class Options:
     def _refuse_beside_a_stack(self) -> None:
         if self.problem != PTYCHOGRAPHY:
             raise ValueError(f"--stack is for {PTYCHOGRAPHY}: give --data to {self.problem}")
-        for name in ("full_well", "bits", "size", "irradiance", "page"):
+        for name in ("full_well", "bits", "size", "irradiance", "page", "oversampling"):
             if getattr(self, name) is not None:
                 option = f"--{name.replace('_', '-')} {getattr(self, name)}"
                 raise ValueError(f"{option}: a stack says so itself, leave it out")

@@ -43,16 +43,16 @@ def run(
     source = _source(options)
     digest = _file_hash(source)
     key_record, key_start, key_draws = jax.random.split(jax.random.key(options.seed), 3)
-    question = _question(options, key_record, quiet)
-    _refuse_changed(earlier, digest, question)
-    posterior = question.problem.condition(question.y)
-    sampler = SAMPLERS[options.sampler].build(posterior)
-    if isinstance(sampler, Ensemble):
-        sampler.size(posterior)
     created = prepare(out, overwrite)
     try:
+        question = _question(options, key_record, quiet)
+        _refuse_changed(earlier, digest, question)
+        posterior = question.problem.condition(question.y)
+        sampler = SAMPLERS[options.sampler].build(posterior)
+        if isinstance(sampler, Ensemble):
+            sampler.size(posterior)
         draws = _draw(options, posterior, sampler, key_start, key_draws, out / CHECKPOINT, quiet)
-    except ValueError:
+    except (ValueError, OSError):
         if created and not any(out.iterdir()):
             out.rmdir()
         raise

@@ -14,7 +14,7 @@ from ..draws import Draws
 from ..models.optics import GLOBAL_PHASE, Optics
 from ..presets import DENOISING, PHASE_RETRIEVAL, Question
 from ..samplers import Sampler
-from ..samplers.base import PopulationSampler
+from ..samplers.base import PopulationSampler, RunSampler
 
 LEVEL = 0.9
 MIXED = 1.05
@@ -47,8 +47,12 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
         results["psnr_mean"] = _psnr(mean, truth)
         results |= _coverages(values, truth)
     results |= _convergence(values, sampler)
-    results["misfit"] = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
-    if problem == PHASE_RETRIEVAL and values.shape[0] * values.shape[1] > 2:
+    found = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
+    if np.isfinite(found):
+        results["misfit"] = found
+    # Draws that follow each other step by step would each seem a mode of their own.
+    each_alone = isinstance(sampler, RunSampler) and values.shape[0] * values.shape[1] > 2
+    if problem == PHASE_RETRIEVAL and each_alone:
         weights = modes(values[:, :: max(1, values.shape[1] // _COMPARED)]).weights
         results |= {"modes": len(weights), "largest_mode": float(weights[0])}
     if np.iscomplexobj(values):

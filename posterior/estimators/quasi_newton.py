@@ -190,7 +190,8 @@ def _bright_field(
     place = np.array(low) // 2 - np.asarray(optics.centres)
     inside = np.all((place >= 0) & (place < low), axis=1)
     row, column = np.where(inside[:, None], place, 0).T
-    bright = inside & (pupils[np.arange(len(row)), row, column] != 0)
+    # A soft pupil fades out: beyond its half the image is a dark field.
+    bright = inside & (np.abs(pupils[np.arange(len(row)), row, column]) > np.abs(pupils).max() / 2)
     mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
     whole = FourierPtychography(optics.in_shape, np.zeros((1, 2), int), np.ones(low))
     return whole.adjoint(mean[None]) / whole.norm_squared()

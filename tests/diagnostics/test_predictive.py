@@ -59,7 +59,16 @@ def test_a_complex_gaussian_recording(x64):
     assert abs(misfit(likelihood, y, np.stack(draws)) - 1) < 4 / SIDE
 
 
-def test_saturated_pixels_are_left_out():
+@pytest.mark.parametrize("camera", [models.Poisson(10_000, 8), models.Poisson(100)], ids=str)
+def test_dark_and_saturated_pixels_do_not_count(x64, camera):
+    """At the truth, from far below an ADC step to far above the full well: still 1."""
+    truth = jnp.geomspace(1e-6, 2.0, SIDE**2).reshape(SIDE, SIDE)
+    likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
+    y = likelihood.simulate(jax.random.key(0), truth)
+    # The brightest hundred or so carry the sums.
+    assert abs(misfit(likelihood, y, truth[None]) - 1) < 4 * np.sqrt(2 / 100)
+
+
+def test_nothing_is_said_where_all_is_saturated():
     likelihood = models.LinearLikelihood(models.Identity((2,)), models.Poisson(4))
-    y = np.array([1.0, 0.5])
-    assert misfit(likelihood, y, np.array([[50.0, 0.5]])) == 0
+    assert np.isnan(misfit(likelihood, np.ones(2), np.full((1, 2), 50.0)))

@@ -194,7 +194,7 @@ def test_a_recording_has_no_truth(folder, tmp_path, capsys):
     extra = ("--data", folder / "counts.npy", "--full-well", 100)
     settings = _run(folder, out, *extra, image=None)
     assert _files(out) == REAL
-    assert set(settings["results"]) == {"rhat", "unmixed", "ess"}
+    assert set(settings["results"]) == {"rhat", "unmixed", "ess", "misfit"}
     assert "PSNR" not in capsys.readouterr().out
     counts = np.load(folder / "counts.npy")
     np.testing.assert_allclose(ps.load(out / "draws.nc").data, counts, atol=1e-6)
@@ -211,7 +211,8 @@ def test_ptychography_of_a_complex_specimen(folder, tmp_path, few_levels):
     extra = ("--sampler", "annealed", "--draws", 1, "--chains", 2)
     settings = _run(folder, tmp_path / "run", *extra, problem="ptychography", image="specimen.npy")
     assert _files(tmp_path / "run") == COMPLEX
-    assert set(settings["results"]) == {"psnr_mean", "coverage_amplitude", "coverage_phase"}
+    covered = {"coverage_amplitude", "coverage_phase"}
+    assert set(settings["results"]) == covered | {"psnr_mean", "misfit"}
     assert any("convergence is not checked" in w for w in settings["warnings"])
     assert any("annealed is approximate" in w for w in settings["warnings"])
     draws = ps.load(tmp_path / "run" / "draws.nc")
@@ -525,6 +526,7 @@ def test_a_measured_stack(folder, stack, tmp_path, capsys):
     [
         ("ptychography", ("--full-well", 100), "--full-well 100: a stack says so itself"),
         ("ptychography", ("--size", 64), "--size 64: a stack says so itself"),
+        ("ptychography", ("--oversampling", 3), "--oversampling 3: a stack says so itself"),
         ("ptychography", ("--data", "x.tif"), "give either --image"),
         ("denoising", (), "--stack is for ptychography"),
     ],

@@ -88,7 +88,13 @@ def test_both_conventions_give_the_same_stack(tmp_path):
             "amplitudes that are whole numbers",
         ),
         ({"led_na": np.zeros((2, 2))}, "LEDs 0 and 1 are in the same direction"),
-        ({"led_na": np.zeros(2)}, r"directions of shape \(2,\)"),
+        ({"led_na": np.zeros(2)}, r"led_na has shape \(2,\)"),
+        ({"led_na": np.array([["a", "b"]] * 2)}, "led_na has .* dtype <U1"),
+        ({"led_na": None, "kxky_NA": np.zeros(2)}, r"kxky_NA has shape \(2,\)"),
+        ({"led_na": np.array([[0.0, 30.0], [20.0, 0.0]])}, "30 of the steepest LED: give sines"),
+        ({"wavelength": 0.6}, "the pupil has a radius of"),
+        ({"wavelength": 0.6e-9}, "the pupil has a radius of"),
+        ({"na": "0.1"}, "has no na"),
         ({"led_na": None}, "give the directions of the LEDs"),
         ({"na": None}, "has no na"),
         ({"wavelength": -1.0}, "wavelength -1.0: give a positive number"),
@@ -137,8 +143,10 @@ def test_given_electrons_are_taken_and_pixels_too_coarse_are_told():
         in_electrons(stack, np.ones(3))
     with pytest.raises(ValueError, match="the least -1"):
         in_electrons(stack, -1)
-    with pytest.raises(ValueError, match="hardly any noise to count them by"):
+    with pytest.raises(ValueError, match="hardly any noise to count by"):
         in_electrons(stack._replace(intensity=np.ones_like(stack.intensity)))
+    with pytest.raises(ValueError, match="image 0 is dark everywhere"):
+        in_electrons(stack, 1e-6)
     with pytest.raises(ValueError, match="too few to measure noise by"):
         photon_scale(stack._replace(na=0.16))
 
@@ -200,12 +208,25 @@ def test_optics_of_a_calibration_have_their_pupils_where_the_leds_are():
     np.testing.assert_allclose(optics.pupil, expected, atol=1e-5)
 
 
-def test_the_least_upsampling_holds_every_led():
+@pytest.mark.parametrize("scale", np.linspace(0.5, 1.6, 12))
+def test_the_least_upsampling_holds_every_led(scale):
     blank = recorded(NOMINAL, 1.0)
+    blank = blank._replace(led_na=blank.led_na * scale)
     needed = stacks.least_upsampling(blank)
-    NOMINAL.optics(blank, needed)
+    NOMINAL._replace(leds=np.array([0.8, -0.8, 0, 0])).optics(blank, needed)
+
+
+def test_an_upsampling_below_the_least_is_refused():
+    blank = recorded(NOMINAL, 1.0)
     with pytest.raises(ValueError, match="leaves the band"):
-        NOMINAL.optics(blank, needed - 1)
+        NOMINAL.optics(blank, stacks.least_upsampling(blank) - 1)
+
+
+def test_the_start_is_of_bright_fields_alone():
+    """Of mean amplitude 1, and as near the object as those of a hard pupil."""
+    stack = recorded(NOMINAL, 3000.0, leds=led_grid(7))
+    found = calibrate(stack, UPSAMPLING, rounds=0, progress=False).object
+    assert np.abs(found).mean() == pytest.approx(1, abs=0.05)
 
 
 def test_one_pupil_an_led_is_as_many_as_there_are_leds():
