@@ -1,5 +1,6 @@
 """The command line from end to end: every result, every refusal, and the same draws again."""
 
+import functools
 import json
 import os
 import re
@@ -507,8 +508,10 @@ def stack(tmp_path_factory):
     return path
 
 
-def test_a_measured_stack(folder, stack, tmp_path, capsys):
-    """Drawn, said, and drawn again; and a file that is no stack refused."""
+def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
+    """Drawn, said, and drawn again; calibrated in a hurry."""
+    hurried = functools.partial(presets.calibrate, rounds=1, iterations=10)
+    monkeypatch.setattr(presets, "calibrate", hurried)
     arguments = ("--prior", folder / "specimen.npy", *SMALL)
     out = tmp_path / "run"
     assert _main("sample", "ptychography", "--stack", stack, "--out", out, *arguments) == 0
