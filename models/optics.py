@@ -270,9 +270,7 @@ class FourierPtychography(Optics):
         LEDs beyond the band of the object.
         """
         low = _low_shape(_plane(shape), upsampling)
-        _check_aperture(
-            na, _positive("wavelength", wavelength), _positive("pixel_size", pixel_size)
-        )
+        check_aperture(na, _positive("wavelength", wavelength), _positive("pixel_size", pixel_size))
         view = np.array(low) * pixel_size
         sines = _led_sines(led_na, led_positions, led_height)
         centres = np.rint(sines / wavelength * view).astype(int)
@@ -713,7 +711,8 @@ def _low_shape(shape: tuple[int, int], upsampling: int) -> tuple[int, int]:
     return tuple(n // factor for n in shape)
 
 
-def _check_aperture(na: float, wavelength: float, pixel_size: float) -> None:
+def check_aperture(na: float, wavelength: float, pixel_size: float) -> None:
+    """Raises ValueError unless `na` can be, and pixels (metres) sample what passes it."""
     if not 0 < _real_number("na", na) < _LARGEST_NA:
         raise ValueError(f"na must lie between 0 and {_LARGEST_NA}, got {na}.")
     largest = wavelength / (2 * na)
@@ -736,6 +735,11 @@ def _led_sines(
         return positions / np.hypot(np.linalg.norm(positions, axis=1, keepdims=True), height)
     if given != ["led_na"]:
         raise ValueError(f"give either led_na, or led_positions with led_height; got {given}.")
+    return checked_sines(led_na)
+
+
+def checked_sines(led_na: ArrayLike) -> np.ndarray:
+    """`led_na` (M, 2) in double precision; raises ValueError for what are no sines."""
     sines = _pairs("led_na", led_na)
     steepest = sines[np.argmax(np.linalg.norm(sines, axis=1))]
     if np.linalg.norm(steepest) >= _LARGEST_NA:

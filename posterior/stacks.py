@@ -6,20 +6,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .models.optics import check_aperture, checked_sines
+
 _KINDS = ("intensity", "amplitude")
 _NUMBERS = {
     "na": ("na", "NA"),
     "wavelength": ("wavelength", "wavelength_m"),
     "pixel_size": ("pixel_size", "pixel_m"),
 }
-# Two discs that overlap less than this share let nothing worth mentioning through.
+# Of the band's edge: two discs that far apart overlap in 0.6 % of their area.
 _BAND = 0.97
 _FREE = 64  # frequencies of each image, to estimate a variance from
 _BRIGHT = 0.95  # of the aperture: the LED itself is seen
 _SAME_LED = 1e-6
 _MOST = 2**23 - 2  # electrons, by what Poisson cameras count
 _MARGIN = 5  # samples, for the soft edge of a pupil and LEDs that turn out to be elsewhere
-_LARGEST_NA = 1.6
 _LEAST_RADIUS = 2  # samples
 
 
@@ -104,17 +105,13 @@ def checked_stack(stack: Stack) -> Stack:
         value = getattr(stack, name)
         if not 0 < value < np.inf:
             raise ValueError(f"{name} {value}: give a positive number, lengths in metres")
-    steepest = np.linalg.norm(leds, axis=1).max()
-    if max(steepest, stack.na) >= _LARGEST_NA:
+    check_aperture(stack.na, stack.wavelength, stack.pixel_size)
+    checked_sines(leds)
+    if stack.radii.min() < _LEAST_RADIUS:
         raise ValueError(
-            f"na {stack.na:.3g}, and {steepest:.3g} of the steepest LED: give sines below "
-            f"{_LARGEST_NA}, not degrees"
-        )
-    if stack.radii.min() < _LEAST_RADIUS or 2 * stack.radii.max() > max(images.shape[1:]):
-        raise ValueError(
-            f"the pupil has a radius of {stack.radii.max():.3g} Fourier samples, and images of "
-            f"{images.shape[1:]} hold {_LEAST_RADIUS} to half their width: give wavelength and "
-            "pixel_size (over the magnification) in metres"
+            f"the pupil has a radius of {stack.radii.min():.3g} Fourier samples, below "
+            f"{_LEAST_RADIUS}: give wavelength and pixel_size (over the magnification) in metres, "
+            "or larger images"
         )
     apart = np.linalg.norm(leds[:, None] - leds[None], axis=-1)
     twice = np.argwhere(np.triu(apart < _SAME_LED, 1))
@@ -165,9 +162,10 @@ def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> S
     """The stack as whole electrons.
 
     `electrons`: a unit of intensity, one number or (M,); None: by `photon_scale`. Raises ValueError
-    for electrons that are not positive, and where more come out than a camera counts, as they do of
-    images without noise.
+    for electrons that are not positive, where more come out than a camera counts, as they do of
+    images without noise, and for parts that do not fit together.
     """
+    checked_stack(stack)
     scale = photon_scale(stack) if electrons is None else np.asarray(electrons, float)
     if scale.shape not in ((), (len(stack.intensity),)) or not np.all(scale > 0):
         raise ValueError(

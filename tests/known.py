@@ -7,6 +7,8 @@ import scipy.stats
 
 import posterior as ps
 from posterior import models
+from posterior.estimators import Calibrated, calibrate, maximum_likelihood
+from posterior.estimators.calibration import NOMINAL
 
 
 def real_view(values):
@@ -96,3 +98,15 @@ def block_means(images, side=8):
     """Means (..., h/side, w/side) over the blocks of images (..., h, w)."""
     h, w = (n // side for n in images.shape[-2:])
     return images.reshape(*images.shape[:-2], h, side, w, side).mean((-3, -1))
+
+
+def with_nominal_microscope(stack, upsampling):
+    """Quasi-Newton that believes a stack's microscope; object and brightness of the LEDs in turns.
+
+    As `estimators.calibrate` gives it.
+    """
+    o = calibrate(stack, upsampling, rounds=0, progress=False).object
+    for _ in range(4):
+        likelihood, y = NOMINAL.likelihood(stack, upsampling, o)
+        o = np.asarray(maximum_likelihood(likelihood, y, o).object)
+    return Calibrated(NOMINAL, o)

@@ -7,13 +7,13 @@ the LED array, and the brightness of each LED (Eckert, Phillips and Waller, Appl
 2018, and Yeh et al., Optics Express 23, 33214, 2015, do so one after the other).
 """
 
-import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from rich.progress import track
 
 from ..models.camera import Poisson
@@ -63,9 +63,8 @@ class Calibration(NamedTuple):
         """
         full_well = int(stack.intensity.max()) + 1
         optics = self.optics(stack, upsampling)
-        light = np.abs(np.asarray(optics(jnp.asarray(o)))) ** 2
-        brightness = stack.intensity.sum(axis=(1, 2)) / light.sum(axis=(1, 2), dtype=float)
-        irradiance = (brightness / full_well)[:, None, None]
+        light = np.abs(np.asarray(optics(jnp.asarray(o)), complex)) ** 2
+        irradiance = _brightness(stack.intensity, light) / full_well
         likelihood = IntensityLikelihood(optics, Poisson(full_well), irradiance)
         return likelihood, stack.intensity / full_well
 
@@ -142,13 +141,16 @@ class _Scene(eqx.Module):
         optics = eqx.tree_at(lambda optics: optics.pupil, self.optics, pupil)
         field = optics(from_real(o, optics.in_shape, complex))
         light = field.real**2 + field.imag**2
-        counted = jnp.sum(self.counts, axis=(1, 2), keepdims=True)
-        brightness = counted / jnp.sum(light, axis=(1, 2), keepdims=True)
-        expected = brightness * light + _FAINT
+        expected = _brightness(self.counts, light) * light + _FAINT
         # The differences are small beside the sums, which float32 rounds.
         surprise = expected - self.counts * (1 + jnp.log(expected / (self.counts + _FAINT)))
         # An image of n electrons a pixel bends by about 4 n where the amplitude is about 1.
-        return jnp.sum(surprise) / (4 * jnp.max(counted) / math.prod(low))
+        return jnp.sum(surprise) / (4 * jnp.max(jnp.mean(self.counts, axis=(1, 2))))
+
+
+def _brightness(counts: ArrayLike, light: ArrayLike) -> ArrayLike:
+    """Of each LED (M, 1, 1), so that the expected electrons of its image are those counted."""
+    return counts.sum(axis=(1, 2), keepdims=True) / light.sum(axis=(1, 2), keepdims=True)
 
 
 @eqx.filter_jit

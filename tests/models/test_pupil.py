@@ -53,8 +53,10 @@ def test_a_pupil_is_a_disc_about_its_offset(x64):
     row, column = (row - 8 - offset[0]) / 5, (column - 10 - offset[1]) / 6
     radius = np.hypot(row, column)
     assert np.all(np.abs(pupil[radius < 0.5]) > 0.99) and not np.any(pupil[radius > 1.7])
-    # A logistic edge of scale s holds pi (r^2 + pi^2 s^2 / 3): here 1.1 to each semi-axis.
-    assert np.sum(np.abs(pupil)) == pytest.approx(np.pi * 30, rel=0.05)
+    # A logistic edge of scale s, in radii, holds 1 + pi^2 s^2 / 3 of the disc; cut at 0.1 %.
+    scale = 0.5 / 5.5
+    area = np.pi * 30 * (1 + np.pi**2 * scale**2 / 3)
+    assert np.sum(np.abs(pupil)) == pytest.approx(area, rel=1e-3 * 1.7**2)
     inside = radius < 1
     phase = 0.2 * 3**0.5 * (2 * radius**2 - 1)
     np.testing.assert_allclose(np.angle(pupil[inside]), phase[inside], atol=1e-9)

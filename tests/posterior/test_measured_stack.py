@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import posterior as ps
+from known import with_nominal_microscope
 from posterior import models, presets
 from posterior.diagnostics import align, misfit
-from posterior.estimators import Calibrated, Calibration, calibrate, maximum_likelihood
+from posterior.estimators import calibrate
 from posterior.stacks import in_electrons, least_upsampling, read_stack
 
 pytestmark = [
@@ -43,16 +44,6 @@ def misfits(name, found, halves):
     said = "bright {:.1f}, dark {:.1f}; held out: bright {:.1f}, dark {:.1f}"
     print(f"{name}: " + said.format(*values))
     return values
-
-
-def with_nominal_microscope(stack, upsampling):
-    """Quasi-Newton that believes the file, and LEDs as bright as suit it, in turns."""
-    nominal = Calibration(np.zeros(4), np.zeros(19))
-    o = calibrate(stack, upsampling, rounds=0, progress=False).object
-    for _ in range(4):
-        likelihood, y = nominal.likelihood(stack, upsampling, o)
-        o = np.asarray(maximum_likelihood(likelihood, y, o).object)
-    return Calibrated(nominal, o)
 
 
 def test_a_calibrated_microscope_predicts_images_it_has_not_seen(halves):

@@ -7,15 +7,18 @@ import pytest
 from skimage import data
 from skimage.transform import resize
 
+from known import with_nominal_microscope
 from posterior import models, presets, stacks
 from posterior.diagnostics import misfit
-from posterior.estimators import Calibrated, Calibration, calibrate, maximum_likelihood
+from posterior.estimators import Calibration, calibrate
+from posterior.estimators.calibration import NOMINAL
 from posterior.models.pupil import pupils
 from posterior.stacks import Stack, in_electrons, photon_scale, read_stack
 
 LOW, UPSAMPLING, PIXEL, WAVELENGTH, NA = 32, 3, 1.6e-6, 0.6e-6, 0.1
 RADIUS = NA / WAVELENGTH * LOW * PIXEL  # 8.5 of 16 samples
 PITCH = 0.42 * NA
+STACKS = 80
 
 
 def led_grid(side=5):
@@ -29,16 +32,25 @@ def specimen():
     return presets.complex_object((grey - grey.min()) / np.ptp(grey))
 
 
-def recorded(calibration, electrons, key=0, leds=None):
-    """A stack of counts; `electrons` where the amplitude is 1, one number or one an LED."""
+def exposed(calibration, electrons, leds=None):
+    """Expected electrons; `electrons` where the amplitude is 1, one number or one an LED."""
     leds = led_grid() if leds is None else leds
     blank = Stack(np.ones((len(leds), LOW, LOW)), leds, NA, WAVELENGTH, PIXEL)
     field = np.asarray(calibration.optics(blank, UPSAMPLING)(jnp.asarray(specimen())))
     light = np.abs(field) ** 2 * np.broadcast_to(electrons, len(leds))[:, None, None]
-    return blank._replace(intensity=np.random.default_rng(key).poisson(light).astype(float))
+    return blank._replace(intensity=light)
 
 
-NOMINAL = Calibration(np.zeros(4), np.zeros(19))
+def counted(stack, seed=0):
+    counts = np.random.default_rng(seed).poisson(stack.intensity)
+    return stack._replace(intensity=counts.astype(float))
+
+
+def recorded(calibration, electrons, leds=None):
+    """A stack of counts."""
+    return counted(exposed(calibration, electrons, leds))
+
+
 WRONG = Calibration(np.array([0.4, -0.3, 0.02, 0.015]), np.r_[0.6, 0.2, -0.15, 0.1, np.zeros(15)])
 
 
@@ -91,9 +103,10 @@ def test_both_conventions_give_the_same_stack(tmp_path):
         ({"led_na": np.zeros(2)}, r"led_na has shape \(2,\)"),
         ({"led_na": np.array([["a", "b"]] * 2)}, "led_na has .* dtype <U1"),
         ({"led_na": None, "kxky_NA": np.zeros(2)}, r"kxky_NA has shape \(2,\)"),
-        ({"led_na": np.array([[0.0, 30.0], [20.0, 0.0]])}, "30 of the steepest LED: give sines"),
+        ({"led_na": np.array([[0.0, 30.0], [20.0, 0.0]])}, "30.0.* is not below 1.6; give sines"),
         ({"wavelength": 0.6}, "the pupil has a radius of"),
-        ({"wavelength": 0.6e-9}, "the pupil has a radius of"),
+        ({"wavelength": 0.6e-9}, "pixel_size 2e-06 m is too coarse"),
+        ({"na": 1.7}, "na must lie between 0 and 1.6"),
         ({"na": "0.1"}, "has no na"),
         ({"led_na": None}, "give the directions of the LEDs"),
         ({"na": None}, "has no na"),
@@ -118,21 +131,31 @@ def test_a_missing_and_a_truncated_file_are_refused(tmp_path):
 
 
 def test_electrons_are_counted_by_the_noise_of_the_images():
-    """Each image's noise beyond the band has as many degrees of freedom as frequencies there, fewer
-    by the taper's 2 per axis; the bright ones share the median of their exposures."""
+    """To 5 %; a band half as wide is caught, for structure counts as noise.
+
+    The variance of an image is a mean over independent frequencies: half of those beyond the band,
+    fewer by Hann's 1.94 an axis. A relative error e of it leaves the median of n bright ones
+    uncertain by 1.25 e / sqrt(n), and e^2 / 3 off (chi-squared).
+    """
     units = np.where(np.arange(25) % 2, 0.02, 0.3)
-    stack = recorded(NOMINAL, 400.0)
-    bright = stack.bright
+    light = exposed(NOMINAL, 400.0)
+    bright = light.bright
     units[bright] = 0.05
-    stack = stack._replace(intensity=stack.intensity * units[:, None, None])
-    ratio = photon_scale(stack) * units
     rows = np.fft.fftfreq(LOW) * LOW / RADIUS
-    free = np.sum(np.hypot(rows[:, None], rows) > 2 * 0.97)
-    error = np.sqrt(2 / free * 1.94**2)
-    assert bright.sum() >= 9 and not bright.all()
-    assert abs(ratio[bright][0] - 1) < 4 * 1.25 * error / np.sqrt(bright.sum())
-    assert np.abs(ratio[~bright] - 1).max() < 4 * error
-    assert np.sqrt(np.mean((ratio[~bright] - 1) ** 2)) < 2 * error
+    error = np.sqrt(2 * 1.94**2 / np.sum(np.hypot(rows[:, None], rows) > 2 * 0.97))
+
+    def variances(na):
+        """Measured, over that of the electrons there are: (stacks, LEDs)."""
+        measured = [counted(light, seed) for seed in range(STACKS)]
+        measured = [s._replace(intensity=s.intensity * units[:, None, None]) for s in measured]
+        return np.array([1 / (units * photon_scale(s._replace(na=na))) for s in measured])
+
+    found = variances(NA)
+    dark = found[:, ~bright]
+    assert abs(dark.mean() - 1) < 4 * error / np.sqrt(dark.size) < 0.05
+    shared = found[:, bright][:, 0]
+    assert abs(shared.mean() - 1) < 4 * 1.25 * error / np.sqrt(STACKS * bright.sum()) + error**2 / 3
+    assert variances(NA / 2).mean() > 1.2
 
 
 def test_given_electrons_are_taken_and_pixels_too_coarse_are_told():
@@ -159,15 +182,6 @@ def held_out_misfit(found, stack):
     return misfit(likelihood, y, found.object[None])
 
 
-def believing(calibration, stack):
-    """The object of highest likelihood, and LEDs as bright as suit it, in turns."""
-    o = calibrate(stack, UPSAMPLING, rounds=0, progress=False).object
-    for _ in range(4):
-        likelihood, y = calibration.likelihood(stack, UPSAMPLING, o)
-        o = np.asarray(maximum_likelihood(likelihood, y, o).object)
-    return Calibrated(calibration, o)
-
-
 @pytest.fixture(scope="module")
 def measured():
     """Half of the LEDs, told apart as on a chess board, and the other half; brightness varies."""
@@ -178,16 +192,27 @@ def measured():
 
 
 def test_the_microscope_is_found_again(measured):
+    """To four times the scatter over six recordings; 1.2 is as far above their misfits' 1.07.
+
+    The misfit is not 1 with the true microscope either: the object is fitted, and others light it.
+    """
     fitted, held_out = measured
     found = calibrate(fitted, UPSAMPLING, progress=False)
     leds, aberration = found.calibration
-    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=0.05)
-    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=0.005)
-    np.testing.assert_allclose(aberration, WRONG.aberration, atol=0.02)
+    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=4 * 0.0072)
+    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=4 * 0.0012)
+    np.testing.assert_allclose(aberration, WRONG.aberration, atol=4 * 0.0025)
     right = held_out_misfit(found, held_out)
-    wrong = held_out_misfit(believing(NOMINAL, fitted), held_out)
+    wrong = held_out_misfit(with_nominal_microscope(fitted, UPSAMPLING), held_out)
     print(f"misfit of the LEDs held out: {right:.3f}; with the nominal microscope {wrong:.3f}")
     assert right < 1.2 < 3 < wrong
+
+
+def test_a_calibration_to_start_from_is_where_it_starts(measured):
+    fitted, _ = measured
+    found = calibrate(fitted, UPSAMPLING, WRONG, rounds=0, progress=False).calibration
+    for ours, theirs in zip(found, WRONG, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
 
 
 def test_intensities_that_are_no_electrons_are_refused(measured):
@@ -223,7 +248,7 @@ def test_an_upsampling_below_the_least_is_refused():
 
 
 def test_the_start_is_of_bright_fields_alone():
-    """Of mean amplitude 1, and as near the object as those of a hard pupil."""
+    """Of mean amplitude 1: dark fields, each brought to the same mean, would change it by 0.2."""
     stack = recorded(NOMINAL, 3000.0, leds=led_grid(7))
     found = calibrate(stack, UPSAMPLING, rounds=0, progress=False).object
     assert np.abs(found).mean() == pytest.approx(1, abs=0.05)
