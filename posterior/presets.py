@@ -41,8 +41,8 @@ from .samplers import (
     TemperedSMC,
     Thickening,
 )
-from .stacks import Stack, checked_stack, in_electrons, least_upsampling
-from .starts import annealed, from_estimates, from_magnitudes, has_magnitudes
+from .stacks import Stack, in_electrons, least_upsampling
+from .starts import annealed, from_magnitudes, from_quasi_newton, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
 
@@ -80,7 +80,8 @@ class Question(NamedTuple):
     """A problem and its recording `y`; `truth` is the object, where it is known.
 
     `irradiance` is None for denoising and measured stacks; `prior` names the pictures that the
-    prior was fitted to, each with the SHA-256 of what was fitted.
+    prior was fitted to, each with the SHA-256 of what was fitted; `estimate` is an object of high
+    likelihood, where finding the problem found one.
     """
 
     problem: Problem
@@ -88,6 +89,7 @@ class Question(NamedTuple):
     truth: np.ndarray | None
     irradiance: float | None
     prior: dict[str, str]
+    estimate: np.ndarray | None = None
 
 
 # ---- from a picture, or from a recording ---------------------------------------------------------
@@ -167,14 +169,14 @@ def measured(
     as many pixels as the band of the LEDs needs, and the prior's mean energy. `prior` and `needs`
     are as for `simulate`. Raises ValueError on what does not fit.
     """
-    stack = in_electrons(checked_stack(stack))
+    stack = in_electrons(stack)
     upsampling = least_upsampling(stack)
     shape = tuple(upsampling * n for n in stack.intensity.shape[1:])
     known, names = _prior(PTYCHOGRAPHY, shape, prior, None, needs)
     found = calibrate(stack, upsampling, progress=progress)
     o = found.object * prior_scale(found.object, known)
     likelihood, y = found.calibration.likelihood(stack, upsampling, o)
-    return Question(Problem(likelihood, known), y, None, None, names)
+    return Question(Problem(likelihood, known), y, None, None, names, estimate=o)
 
 
 def prior_scale(o: np.ndarray, prior: GaussianField | LearnedPrior) -> float:
@@ -521,8 +523,8 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
     for an object behind a field from where its annealing error is 0.4 of the noise. There it begins
     where a start is not forgotten, but its errors are: far-field magnitudes at half the sd of a
-    channel, other fields at 15 times the noise, for quasi-Newton is that far off in the lowest
-    frequencies, of whose phase they tell next to nothing.
+    channel, other fields at 15 times the noise, for in the lowest frequencies quasi-Newton is that
+    far off: 12 of 16384 held 76 % of its draws' error at sigma_0 = 0.2.
     """
     prior, steps = posterior.prior, {"steps": 4, "path": path, "descent": 6}
     if isinstance(posterior.likelihood, LinearLikelihood):
@@ -558,21 +560,26 @@ SAMPLERS = {
 
 
 def start_of(
-    sampler: str, posterior: Posterior, key: jax.Array, chains: int, progress: bool = False
+    sampler: str,
+    posterior: Posterior,
+    key: jax.Array,
+    chains: int,
+    progress: bool = False,
+    estimate: np.ndarray | None = None,
 ) -> np.ndarray | None:
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
     starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
     several, which start from hybrid input-output. Under a learned prior ptychography starts from
-    quasi-Newton. "split" cannot travel at all.
+    quasi-Newton, or from the `estimate` of a `Question`. "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
     if isinstance(posterior.likelihood, LinearLikelihood):
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
-            return from_estimates(posterior, chains)
+            return from_quasi_newton(posterior, chains, estimate)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None

@@ -66,21 +66,24 @@ def from_magnitudes(
     for generation in keys:
         flat = pool.reshape(-1, *posterior.shape)
         pool = annealed(posterior, scout, generation, len(flat), flat, progress).reshape(shape)
-        pool = np.stack([_heirs(posterior, candidates) for candidates in pool])
+        pool = np.stack([_heirs(posterior, of_a_chain) for of_a_chain in pool])
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
 
 
-def from_estimates(posterior: Posterior, chains: int) -> np.ndarray | None:
-    """Starts (chains, *shape) for a learned prior: a cheap single answer, for the sampler to noise.
+def from_quasi_newton(
+    posterior: Posterior, chains: int, estimate: np.ndarray | None = None
+) -> np.ndarray | None:
+    """Starts (chains, *shape) for a learned prior, all the same; None unless it is ptychography.
 
-    Ptychography: the quasi-Newton solution with the prior's global phase, the same for every chain.
-    None for other optics.
+    The quasi-Newton solution, or the `estimate` if one is known, with the prior's global phase.
     """
-    likelihood, prior = posterior.likelihood, posterior.prior
+    likelihood, y = posterior.likelihood, posterior.y
     if not isinstance(likelihood.optics, FourierPtychography):
         return None
-    found = maximum_likelihood(likelihood, posterior.y, default_start(likelihood, posterior.y))
-    return np.stack([_turned(np.asarray(found.object), prior)] * chains)
+    if estimate is None:
+        found = maximum_likelihood(likelihood, y, default_start(likelihood, y))
+        estimate = np.asarray(found.object)
+    return np.stack([_turned(estimate, posterior.prior)] * chains)
 
 
 def _turned(o: np.ndarray, prior: LearnedPrior) -> np.ndarray:

@@ -42,20 +42,27 @@ def run(
     options, began = options.resolved(), time.perf_counter()
     source = _source(options)
     digest = _file_hash(source)
-    key_record, key_start, key_draws = jax.random.split(jax.random.key(options.seed), 3)
+    key_record, *keys = jax.random.split(jax.random.key(options.seed), 3)
+    _refuse_changed_input(earlier, digest)
     created = prepare(out, overwrite)
     try:
         question = _question(options, key_record, quiet)
-        _refuse_changed(earlier, digest, question)
+        _refuse_changed_prior(earlier, question)
         posterior = question.problem.condition(question.y)
         sampler = SAMPLERS[options.sampler].build(posterior)
         if isinstance(sampler, Ensemble):
             sampler.size(posterior)
-        draws = _draw(options, posterior, sampler, key_start, key_draws, out / CHECKPOINT, quiet)
+        draws = _draw(options, question, posterior, sampler, keys, out / CHECKPOINT, quiet)
     except (ValueError, OSError):
         if created and not any(out.iterdir()):
             out.rmdir()
         raise
+    except KeyboardInterrupt:
+        print(
+            f"interrupted: what is done is in {out / CHECKPOINT}, the same command goes on from it",
+            file=sys.stderr,
+        )
+        raise typer.Exit(130) from None
     summary = summarise(draws, question, options.problem, sampler)
     settings = {
         "options": dataclasses.asdict(options),
@@ -113,44 +120,40 @@ def _card(options: Options) -> dict[str, Any] | None:
     return presets.weights_card(options.prior, SAMPLERS[options.sampler].needs)
 
 
-def _refuse_changed(earlier: dict[str, Any] | None, digest: str, question: Question) -> None:
-    if earlier is None:
-        return
-    file = _source(Options(**earlier["options"]))
-    if earlier["input"]["sha256"] != digest:
+def _refuse_changed_input(earlier: dict[str, Any] | None, digest: str) -> None:
+    if earlier is not None and earlier["input"]["sha256"] != digest:
+        file = _source(Options(**earlier["options"]))
         raise ValueError(f"{file} has changed since the run: put the same file there")
-    if earlier["prior"] != question.prior:
+
+
+def _refuse_changed_prior(earlier: dict[str, Any] | None, question: Question) -> None:
+    if earlier is not None and earlier["prior"] != question.prior:
         changed = sorted(set(earlier["prior"].items()) ^ set(question.prior.items()))
         raise ValueError(f"prior picture {changed[0][0]} has changed since the run: put it back")
 
 
 def _draw(
     options: Options,
+    question: Question,
     posterior: Posterior,
     sampler: Sampler,
-    key_start: jax.Array,
-    key_draws: jax.Array,
+    keys: list[jax.Array],
     checkpoint: Path,
     quiet: bool,
 ) -> Draws:
-    try:
-        return sample(
-            posterior,
-            sampler,
-            key_draws,
-            chains=options.chains,
-            draws=options.draws,
-            warmup=options.warmup,
-            thin=options.thin,
-            start=presets.start_of(
-                options.sampler, posterior, key_start, options.chains, progress=not quiet
-            ),
-            progress=not quiet,
-            checkpoint=checkpoint,
-        )
-    except KeyboardInterrupt:
-        print(
-            f"interrupted: what is done is in {checkpoint}, the same command goes on from it",
-            file=sys.stderr,
-        )
-        raise typer.Exit(130) from None
+    """`keys`: of the start, and of the draws."""
+    start = presets.start_of(
+        options.sampler, posterior, keys[0], options.chains, not quiet, question.estimate
+    )
+    return sample(
+        posterior,
+        sampler,
+        keys[1],
+        chains=options.chains,
+        draws=options.draws,
+        warmup=options.warmup,
+        thin=options.thin,
+        start=start,
+        progress=not quiet,
+        checkpoint=checkpoint,
+    )
