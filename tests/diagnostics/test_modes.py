@@ -5,27 +5,30 @@ import pytest
 
 from posterior.diagnostics import align, modes
 
-RNG = np.random.default_rng(0)
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
 
 
-def gaussian(*shape, dtype=float):
-    re, im = RNG.standard_normal((2, *shape))
+def gaussian(rng, *shape, dtype=float):
+    re, im = rng.standard_normal((2, *shape))
     return re + 1j * im if dtype is complex else re
 
 
 @pytest.mark.parametrize("dtype", [float, complex])
 @pytest.mark.parametrize("draws", [4, 30])
-def test_draws_of_one_mode_are_not_split(draws, dtype):
+def test_draws_of_one_mode_are_not_split(rng, draws, dtype):
     """At 64 dimensions: none of 100 sets."""
-    found = [len(modes(gaussian(2, draws, 8, 8, dtype=dtype)).weights) for _ in range(100)]
+    found = [len(modes(gaussian(rng, 2, draws, 8, 8, dtype=dtype)).weights) for _ in range(100)]
     assert max(found) == 1
 
 
 @pytest.mark.parametrize("dtype", [float, complex])
-def test_two_modes_are_found_with_their_weights(dtype):
+def test_two_modes_are_found_with_their_weights(rng, dtype):
     """Three sd a dimension apart; the share of 400 draws is binomial."""
-    second = RNG.random((4, 100)) < 0.25
-    values = gaussian(4, 100, 8, 8, dtype=dtype) + 3 * second[..., None, None]
+    second = rng.random((4, 100)) < 0.25
+    values = gaussian(rng, 4, 100, 8, 8, dtype=dtype) + 3 * second[..., None, None]
     if dtype is complex:
         values = values + 3j * second[..., None, None]
     found = modes(values)
@@ -34,21 +37,21 @@ def test_two_modes_are_found_with_their_weights(dtype):
     assert abs(found.weights[1] - 0.25) < 4 * np.sqrt(0.25 * 0.75 / 400)
 
 
-def test_modes_that_overlap_count_as_one():
-    values = gaussian(2, 50, 8, 8) + (RNG.random((2, 50)) < 0.5)[..., None, None]
+def test_modes_that_overlap_count_as_one(rng):
+    values = gaussian(rng, 2, 50, 8, 8) + (rng.random((2, 50)) < 0.5)[..., None, None]
     assert len(modes(values).weights) == 1
 
 
-def test_twins_are_one_mode_once_aligned():
-    picture = 5 * gaussian(8, 8)
-    values = picture + gaussian(2, 10, 8, 8)
+def test_twins_are_one_mode_once_aligned(rng):
+    picture = 5 * gaussian(rng, 8, 8)
+    values = picture + gaussian(rng, 2, 10, 8, 8)
     values[1] = values[1, :, ::-1, ::-1]
     assert len(modes(values).weights) == 2
     assert len(modes(align(values, symmetries=["conjugate_flip"])).weights) == 1
 
 
-def test_copies_are_no_modes():
-    values = np.repeat(gaussian(2, 20, 8, 8), 3, axis=1)
+def test_copies_are_no_modes(rng):
+    values = np.repeat(gaussian(rng, 2, 20, 8, 8), 3, axis=1)
     assert len(modes(values).weights) == 1
     assert len(modes(np.ones((2, 5, 8, 8))).weights) == 1
 
