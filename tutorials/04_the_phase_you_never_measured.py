@@ -39,12 +39,13 @@ specimen = jnp.asarray(presets.complex_object(grey), complex)
 # ## Forty-nine pictures
 #
 # A 7 x 7 grid of LEDs. Each picture has a sixteenth of the specimen's pixels: the lens is a small
-# one, and sees a wide field. At the full well a pixel holds 1000 electrons, read by a 10-bit ADC.
+# one, and sees a wide field. Light is scarce: a pixel holds at most 100 electrons, and an 8-bit ADC
+# reads them.
 
 # %%
 centres, radius = presets.aperture_grid(SIDE)
 optics = models.FourierPtychography.from_radius((SIDE, SIDE), centres, radius, 4)
-camera = models.Poisson(full_well=1000, bits=10)
+camera = models.Poisson(full_well=100, bits=8)
 brightest = float(jnp.max(jnp.abs(optics(specimen)) ** 2))
 likelihood = models.IntensityLikelihood(optics, camera, 0.9 / brightest)
 y = np.asarray(likelihood.simulate(jax.random.key(0), specimen))
@@ -101,8 +102,8 @@ mean = found.mean(0)
 print("mean of 12 draws: amplitude {:.1f} dB, phase {:.1f} dB".format(*errors(mean)))
 
 # %% [markdown]
-# The prior makes the amplitude better. The phase, which so many overlapping recordings tell well by
-# themselves, is as good as before: what a prior adds depends on what the data leave open.
+# The prior makes both better. How much depends on what the data leave open: with ten times the light
+# the recordings tell the phase so well by themselves that the prior adds nothing to it.
 #
 # The spread of a phase is that of an angle: circular, and largest where there is little light to
 # carry it.
@@ -113,11 +114,11 @@ panels = {
     "amplitude: specimen": (np.abs(specimen), "gray", (0, 1.1)),
     "highest likelihood": (np.abs(best), "gray", (0, 1.1)),
     "mean of draws": (np.abs(mean), "gray", (0, 1.1)),
-    "standard deviation": (np.abs(found).std(0, ddof=1), "magma", (0, 0.06)),
+    "standard deviation": (np.abs(found).std(0, ddof=1), "magma", (0, 0.08)),
     "phase: specimen": (np.angle(specimen), "twilight", (-1.2, 1.2)),
     "highest likelihood ": (np.angle(best), "twilight", (-1.2, 1.2)),
     "mean of draws ": (np.angle(mean), "twilight", (-1.2, 1.2)),
-    "standard deviation ": (phase_sd, "magma", (0, 0.1)),
+    "standard deviation ": (phase_sd, "magma", (0, 0.2)),
 }
 figure, axes = plt.subplots(2, 4, figsize=(11, 5.8), layout="constrained")
 for ax, (title, (image, colours, (low, high))) in zip(axes.flat, panels.items()):
@@ -150,5 +151,5 @@ print(f"spread over error: {ratio:.2f}")
 
 # %%
 assert errors(mean)[0] > errors(best)[0]
-assert errors(mean)[1] > errors(best)[1] - 0.5
-assert 0.2 < ratio < 1
+assert errors(mean)[1] > errors(best)[1]
+assert 0.5 < ratio < 1
