@@ -184,9 +184,13 @@ class FourierPtychography(Optics):
     - `pupil`: (n0, n1), complex, zero frequency at the middle (index n // 2), as after fftshift;
       or (M, n0, n1), one for each LED: a pupil moved by the fraction of a sample that its centre
       was rounded by leaves no rounding (models/pupil.py).
+    - `rim`: (2,) camera pixels on each side of the field that are not recorded. The transforms are
+      periodic, a specimen is not: what lies just outside shines into the images, and the rim holds
+      it.
 
-    The field has shape (M, n0, n1). Raises ValueError for arrays of the wrong shape or type, and
-    where the support of the pupil around a centre leaves the band of the object.
+    The field has shape (M, n0 - 2 rim, n1 - 2 rim). Raises ValueError for arrays of the wrong shape
+    or type, a rim that leaves nothing, and where the support of the pupil around a centre leaves
+    the band of the object.
 
     Approximations: a thin object, coherent light from each LED, one pupil for the whole field of
     view, and crops on whole Fourier samples. With P(k - k_m) on F o, the centre lies on the side of
@@ -196,21 +200,26 @@ class FourierPtychography(Optics):
     centres: jax.Array
     pupil: jax.Array
     largest: jax.Array
+    rim: tuple[int, int] = eqx.field(static=True)
 
     def __init__(
         self,
         shape: Sequence[int],
         centres: ArrayLike,
         pupil: ArrayLike,
+        rim: Sequence[int] = (0, 0),
     ):
         self.in_shape = _plane(shape)
         centres, pupil = _centres(centres), _pupil(pupil, len(np.asarray(centres)))
         _check_band(self.in_shape, centres, pupil)
-        self.out_shape = (len(centres), *pupil.shape[-2:])
+        self.rim = _rim(rim, pupil.shape[-2:])
+        recorded = (n - 2 * r for n, r in zip(pupil.shape[-2:], self.rim))
+        self.out_shape = (len(centres), *recorded)
         self.centres = jnp.asarray(centres)
         self.pupil = jnp.asarray(pupil + 0j)
         # Found once, here: a sampler asks for it at every step.
-        self.largest = jnp.asarray(_largest_transmission(self.in_shape, centres, pupil))
+        gain = math.prod(pupil.shape[-2:]) / math.prod(self.in_shape)
+        self.largest = jnp.asarray(_transmission(self.in_shape, centres, pupil).max() * gain)
 
     @classmethod
     def from_radius(
@@ -285,32 +294,52 @@ class FourierPtychography(Optics):
             pupil = pupil * np.exp(1j * _array("aberration", aberration, shape=low, real=True))
         return cls(shape, centres, pupil)
 
+    @property
+    def low_shape(self) -> tuple[int, int]:
+        """(n0, n1) camera pixels, those of the rim among them."""
+        return self.pupil.shape[-2:]
+
+    @property
+    def field_of_view(self) -> tuple[slice, slice]:
+        """Where in the object what is recorded lies."""
+        borders = (r * h // n for r, h, n in zip(self.rim, self.in_shape, self.low_shape))
+        return tuple(slice(b, h - b) for b, h in zip(borders, self.in_shape))
+
+    def frequencies(self) -> int:
+        """How many frequencies of the object reach the camera, by a tenth of a pupil's power."""
+        pupil = np.asarray(self.pupil)
+        total = _transmission(self.in_shape, np.asarray(self.centres), pupil)
+        return int(np.count_nonzero(total > 0.1 * np.abs(pupil).max() ** 2))
+
     def _apply(self, o: jax.Array) -> jax.Array:
         spectrum = jnp.fft.fftshift(jnp.fft.fftn(o, norm="ortho"))
-        low = self.out_shape[1:]
+        low = self.low_shape
         spectrum = jnp.pad(spectrum, [(n, n) for n in low])
         crop = functools.partial(jax.lax.dynamic_slice, spectrum, slice_sizes=low)
         passed = jax.vmap(crop)(self._corners()) * self._gained_pupil(o)
-        return jnp.fft.ifftn(passed, axes=(1, 2), norm="ortho") * self._recentring(o)
+        field = jnp.fft.ifftn(passed, axes=(1, 2), norm="ortho") * self._recentring(o)
+        (top, left), (n0, n1) = self.rim, low
+        return field[:, top : n0 - top, left : n1 - left]
 
     def _adjoint(self, field: jax.Array) -> jax.Array:
-        field = field.astype(_complex_dtype(field)) * self._recentring(field).conj()
+        field = jnp.pad(field.astype(_complex_dtype(field)), [(0, 0), *((r, r) for r in self.rim)])
+        field = field * self._recentring(field).conj()
         spectra = jnp.fft.fftn(field, axes=(1, 2), norm="ortho")
         spectrum = self._overlap_add(spectra * self._gained_pupil(field).conj())
         return jnp.fft.ifftn(jnp.fft.ifftshift(spectrum), norm="ortho")
 
     def _gained_pupil(self, o: jax.Array) -> jax.Array:
         """sqrt(n_low / n_high) pupil, shape (1 or M, n0, n1), in the precision of `o`."""
-        gain = jnp.sqrt(math.prod(self.out_shape[1:]) / math.prod(self.in_shape))
+        gain = jnp.sqrt(math.prod(self.low_shape) / math.prod(self.in_shape))
         gained = (gain.astype(self.pupil.dtype) * self.pupil).astype(_complex_dtype(o))
-        return gained.reshape(-1, *self.out_shape[1:])
+        return gained.reshape(-1, *self.low_shape)
 
     def _recentring(self, o: jax.Array) -> jax.Array:
         """Phase, shape (1, n0, n1), that undoes a spectrum left with its zero in the middle.
 
         Cheaper than an fftshift of every crop, by the shift theorem.
         """
-        phases = [np.exp(-2j * np.pi * (n // 2 * np.arange(n) % n) / n) for n in self.out_shape[1:]]
+        phases = [np.exp(-2j * np.pi * (n // 2 * np.arange(n) % n) / n) for n in self.low_shape]
         return jnp.asarray(np.multiply.outer(*phases)).astype(_complex_dtype(o))[None]
 
     def _corners(self) -> jax.Array:
@@ -319,12 +348,12 @@ class FourierPtychography(Optics):
         The padding is for windows that leave the band where the pupil is zero; it does not depend
         on the centres, so that new ones need no new compilation.
         """
-        middle = [h // 2 - n // 2 + n for h, n in zip(self.in_shape, self.out_shape[1:])]
+        middle = [h // 2 - n // 2 + n for h, n in zip(self.in_shape, self.low_shape)]
         return self.centres + jnp.asarray(middle, self.centres.dtype)[None]
 
     def _overlap_add(self, crops: jax.Array) -> jax.Array:
         """Sum of crops (M, n0, n1), each at its place in the centred spectrum (h, w)."""
-        shape = pad = self.out_shape[1:]
+        shape = pad = self.low_shape
 
         def add(total: jax.Array, item: tuple) -> tuple:
             corner, crop = item
@@ -341,7 +370,10 @@ class FourierPtychography(Optics):
         return jnp.ones(self.out_shape) * jnp.sqrt(power / math.prod(self.in_shape))
 
     def norm_squared(self) -> jax.Array:
-        """Largest value of sum_m |sqrt(n_low / n_high) pupil(k - k_m)|^2, exact."""
+        """Largest value of sum_m |sqrt(n_low / n_high) pupil(k - k_m)|^2.
+
+        Exact without a rim, else a bound from above.
+        """
         return self.largest
 
 
@@ -672,17 +704,24 @@ def _reach(centres: np.ndarray, pupil: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return centres + low, centres + high
 
 
-def _largest_transmission(
-    shape: tuple[int, ...], centres: np.ndarray, pupil: np.ndarray
-) -> np.float64:
-    """Largest sum over the LEDs of the power that a frequency passes on, with the gain."""
+def _transmission(shape: tuple[int, ...], centres: np.ndarray, pupil: np.ndarray) -> np.ndarray:
+    """Power that each frequency passes on, summed over the LEDs; one crop of zeros around it."""
     low = pupil.shape[-2:]
     total = np.zeros([h + 2 * n for h, n in zip(shape, low)])
     corners = centres + [h // 2 - n // 2 + n for h, n in zip(shape, low)]
     powers = np.broadcast_to(np.abs(pupil) ** 2, (len(centres), *low))
     for (row, column), power in zip(corners, powers):
         total[row : row + low[0], column : column + low[1]] += power
-    return total.max() * math.prod(low) / math.prod(shape)
+    return total
+
+
+def _rim(rim: Sequence[int], low: tuple[int, int]) -> tuple[int, int]:
+    rim = tuple(rim)
+    if len(rim) != 2 or not all(isinstance(r, int | np.integer) and r >= 0 for r in rim):
+        raise ValueError(f"rim {rim}: give two whole numbers of pixels, 0 or more")
+    if any(2 * r >= n for r, n in zip(rim, low)):
+        raise ValueError(f"rim {rim} leaves nothing of {low} pixels: give a narrower one")
+    return tuple(int(r) for r in rim)
 
 
 def _needed_shape(centres: np.ndarray, pupil: np.ndarray) -> np.ndarray:

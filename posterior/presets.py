@@ -41,7 +41,7 @@ from .samplers import (
     TemperedSMC,
     Thickening,
 )
-from .stacks import Stack, in_electrons, least_upsampling
+from .stacks import Stack, dispersed, grid, in_electrons, least_upsampling
 from .starts import annealed, from_magnitudes, from_quasi_newton, has_magnitudes
 
 DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY = "denoising", "phase-retrieval", "ptychography"
@@ -80,8 +80,8 @@ class Question(NamedTuple):
     """A problem and its recording `y`; `truth` is the object, where it is known.
 
     `irradiance` is None for denoising and measured stacks; `prior` names the pictures that the
-    prior was fitted to, each with the SHA-256 of what was fitted; `estimate` is an object of high
-    likelihood, where finding the problem found one.
+    prior was fitted to, each with the SHA-256 of what was fitted. Of a measured stack `estimate` is
+    an object of high likelihood, and `microscope` what the images told of theirs.
     """
 
     problem: Problem
@@ -90,6 +90,7 @@ class Question(NamedTuple):
     irradiance: float | None
     prior: dict[str, str]
     estimate: np.ndarray | None = None
+    microscope: dict[str, Any] | None = None
 
 
 # ---- from a picture, or from a recording ---------------------------------------------------------
@@ -157,26 +158,41 @@ def record(
 
 def measured(
     stack: Stack,
+    key: jax.Array,
     *,
+    electrons: float | None = None,
     prior: str | None = None,
     needs: str = "score",
     progress: bool = False,
 ) -> Question:
     """A stack of Fourier ptychography, from the microscope whose numbers it holds.
 
-    Electrons are counted by the noise of the images (`stacks.in_electrons`), and the microscope is
-    calibrated on them (`estimators.calibrate`), some minutes for hundreds of LEDs. The object has
-    as many pixels as the band of the LEDs needs, and the prior's mean energy. `prior` and `needs`
-    are as for `simulate`. Raises ValueError on what does not fit.
+    Electrons are counted by the noise of the images (`stacks.in_electrons`) unless given, those a
+    unit of intensity, and the microscope is calibrated on them (`estimators.calibrate`), some
+    minutes for hundreds of LEDs. What photon noise leaves unexplained then, is taken for more of it
+    (`stacks.dispersed`, with `key`). The object has as many pixels as the band of the LEDs needs, a
+    rim around the field of view, and the prior's mean energy. `prior` and `needs` are as for
+    `simulate`. Raises ValueError on what does not fit.
+
+    Approximation: what is unexplained is independent from pixel to pixel, as photons are.
     """
-    stack = in_electrons(stack)
+    counts = in_electrons(stack, electrons)
     upsampling = least_upsampling(stack)
-    shape = tuple(upsampling * n for n in stack.intensity.shape[1:])
+    shape = tuple(upsampling * n for n in grid(stack).shape)
     known, names = _prior(PTYCHOGRAPHY, shape, prior, None, needs)
-    found = calibrate(stack, upsampling, progress=progress)
+    found = calibrate(counts, upsampling, progress=progress)
     o = found.object * prior_scale(found.object, known)
-    likelihood, y = found.calibration.likelihood(stack, upsampling, o)
-    return Question(Problem(likelihood, known), y, None, None, names, estimate=o)
+    fewer = dispersed(counts, found.dispersion, key)
+    likelihood, y = found.calibration.likelihood(fewer, upsampling, o)
+    microscope = {
+        "electrons": (
+            counts.intensity.sum(axis=(1, 2)) / stack.intensity.sum(axis=(1, 2))
+        ).tolist(),
+        "dispersion": found.dispersion,
+        "leds": found.calibration.leds.tolist(),
+        "aberration": found.calibration.aberration.tolist(),
+    }
+    return Question(Problem(likelihood, known), y, None, None, names, o, microscope)
 
 
 def prior_scale(o: np.ndarray, prior: GaussianField | LearnedPrior) -> float:

@@ -4,7 +4,9 @@ import math
 import os
 from typing import NamedTuple
 
+import jax
 import numpy as np
+import scipy.fft
 
 from .models.optics import check_aperture, checked_sines
 
@@ -22,6 +24,8 @@ _SAME_LED = 1e-6
 _MOST = 2**23 - 2  # electrons, by what Poisson cameras count
 _MARGIN = 5  # samples, for the soft edge of a pupil and LEDs that turn out to be elsewhere
 _LEAST_RADIUS = 2  # samples
+# Of wavelength / na: as far as light of a window of a specimen reaches. Twice that gains nothing.
+_RIM = 2
 
 
 class Stack(NamedTuple):
@@ -181,10 +185,56 @@ def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> S
     return checked_stack(stack._replace(intensity=counts))
 
 
+def dispersed(stack: Stack, dispersion: float, key: jax.Array) -> Stack:
+    """A stack of electrons as if of fewer, whose photon noise has `dispersion` times the variance.
+
+    The quasi-likelihood of overdispersed counts (McCullagh and Nelder, Generalized Linear Models,
+    1989, section 9.2): their Poisson likelihood to the power of 1 / dispersion. Counts are divided,
+    and rounded up or down at random, which keeps their mean and adds at most 1/4 to their variance.
+    As it is for a dispersion of at most 1, or none (nan).
+    """
+    if not dispersion > 1:
+        return stack
+    up = np.asarray(jax.random.uniform(key, stack.intensity.shape), float)
+    return stack._replace(intensity=np.floor(stack.intensity / dispersion + up))
+
+
+class Grid(NamedTuple):
+    """Of a stack and the rim around it (`FourierPtychography`), which is what optics are built on.
+
+    - `shape`, `rim`: (2,) camera pixels, with the rim on each side, and those of the rim.
+    - `radii`: (2,) semi-axes of the pupil, in Fourier samples of this shape.
+    - `places`: (M, 2) where the middle of the pupil lies for each LED, in these samples.
+    """
+
+    shape: tuple[int, int]
+    rim: tuple[int, int]
+    radii: np.ndarray
+    places: np.ndarray
+
+
+def grid(stack: Stack) -> Grid:
+    """The grid of a stack: a rim of at least 2 wavelengths over na, and a fast transform."""
+    rim = math.ceil(_RIM * stack.wavelength / stack.na / stack.pixel_size)
+    recorded = stack.intensity.shape[1:]
+    shape = tuple(_fast(n, n + 2 * rim) for n in recorded)
+    samples = np.array(shape) * stack.pixel_size / stack.wavelength
+    rims = tuple((wide - n) // 2 for wide, n in zip(shape, recorded))
+    return Grid(shape, rims, stack.na * samples, stack.led_na * samples)
+
+
+def _fast(n: int, least: int) -> int:
+    """The next length of a fast transform that is as odd or even as n."""
+    while (length := scipy.fft.next_fast_len(least)) % 2 != n % 2:
+        least = length + 1
+    return length
+
+
 def least_upsampling(stack: Stack) -> int:
     """The fewest object pixels for one of the camera, along an axis, whose band holds every LED."""
-    reach = np.abs(stack.led_na).max(axis=0) / stack.wavelength * stack.view + stack.radii
-    return math.ceil((2 * (reach + _MARGIN) / stack.intensity.shape[1:]).max())
+    shape, _, radii, places = grid(stack)
+    reach = np.abs(places).max(axis=0) + radii
+    return math.ceil((2 * (reach + _MARGIN) / shape).max())
 
 
 def _images(images: np.ndarray, path: str) -> np.ndarray:

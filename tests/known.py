@@ -7,7 +7,7 @@ import scipy.stats
 
 import posterior as ps
 from posterior import models
-from posterior.estimators import Calibrated, calibrate, maximum_likelihood
+from posterior.estimators import calibrate, maximum_likelihood
 from posterior.estimators.calibration import NOMINAL
 
 
@@ -105,8 +105,9 @@ def with_nominal_microscope(stack, upsampling):
 
     As `estimators.calibrate` gives it.
     """
-    o = calibrate(stack, upsampling, rounds=0, progress=False).object
+    found = calibrate(stack, upsampling, rounds=0, progress=False)
+    o = found.object
     for _ in range(4):
         likelihood, y = NOMINAL.likelihood(stack, upsampling, o)
         o = np.asarray(maximum_likelihood(likelihood, y, o).object)
-    return Calibrated(NOMINAL, o)
+    return found._replace(object=o, dispersion=np.nan)

@@ -102,8 +102,8 @@ mean = found.mean(0)
 print("mean of 12 draws: amplitude {:.1f} dB, phase {:.1f} dB".format(*errors(mean)))
 
 # %% [markdown]
-# The prior makes both better. How much depends on what the data leave open: with ten times the light
-# the recordings tell the phase so well by themselves that the prior adds nothing to it.
+# The prior makes both better. How much depends on what the data leave open: with ten times the
+# light the recordings tell the phase so well by themselves that the prior adds nothing to it.
 #
 # The spread of a phase is that of an angle: circular, and largest where there is little light to
 # carry it.

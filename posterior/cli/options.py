@@ -44,6 +44,7 @@ class Options:
     image: str | None = None
     data: str | None = None
     stack: str | None = None
+    electrons: float | None = None
     full_well: int | None = None
     bits: int | None = None
     sampler: str | None = None
@@ -70,6 +71,10 @@ class Options:
             )
         if self.stack is not None:
             self._refuse_beside_a_stack()
+        elif self.electrons is not None:
+            raise ValueError(
+                f"--electrons {self.electrons}: only a --stack takes them, leave it out"
+            )
         if self.data is not None and self.full_well is None:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():

@@ -69,6 +69,7 @@ def run(
         "input": {"file": Path(source).name, "sha256": digest},
         "prior": question.prior,
         "irradiance": question.irradiance,
+        "microscope": question.microscope,
         "sampler": draws.settings["sampler"],
         "warmup": draws.settings["warmup"],
         "results": summary.results,
@@ -102,7 +103,14 @@ def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
     needs = SAMPLERS[options.sampler].needs
     if options.stack is not None:
         stack = read_stack(options.stack)
-        return presets.measured(stack, prior=options.prior, needs=needs, progress=not quiet)
+        return presets.measured(
+            stack,
+            key,
+            electrons=options.electrons,
+            prior=options.prior,
+            needs=needs,
+            progress=not quiet,
+        )
     camera = Poisson(options.full_well, options.bits or None)
     picture = read_picture(options.image or options.data, options.page)
     given = {

@@ -18,6 +18,9 @@ def command(
     stack: Annotated[
         str | None, typer.Option(help="A measured stack of ptychography, NPZ with its microscope.")
     ] = None,
+    electrons: Annotated[
+        float | None, typer.Option(help="A unit of a stack's intensity; unsaid: by its noise.")
+    ] = None,
     full_well: Annotated[int | None, typer.Option(help="Electrons at saturation.")] = None,
     bits: Annotated[int | None, typer.Option(help="Of the ADC; 0: none.")] = None,
     sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,

@@ -11,7 +11,7 @@ from ..diagnostics.plots import complex_maps
 from ..diagnostics.predictive import misfit
 from ..diagnostics.spread import interval, interval_width
 from ..draws import Draws
-from ..models.optics import GLOBAL_PHASE, Optics
+from ..models.optics import GLOBAL_PHASE, FourierPtychography, Optics
 from ..presets import DENOISING, PHASE_RETRIEVAL, Question
 from ..samplers import Sampler
 from ..samplers.base import PopulationSampler, RunSampler
@@ -24,6 +24,7 @@ _COMPARED = 50  # draws of a chain, for modes: all pairs are compared
 class Summary(NamedTuple):
     """Draws (chains, draws, *shape) with what the data cannot tell aligned, and what they say.
 
+    Of the field of view alone, where the object has a rim beyond it.
     `maps` are the pictures to write, by file name; `sd` and `width` are as `overview` takes them.
     """
 
@@ -37,8 +38,10 @@ class Summary(NamedTuple):
 
 def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) -> Summary:
     """Align the draws, map their mean and spread, compare them with the truth where it is known."""
-    truth = question.truth
-    values = _aligned(draws.values, question.problem.likelihood.optics, truth)
+    truth, optics = question.truth, question.problem.likelihood.optics
+    seen = optics.field_of_view if isinstance(optics, FourierPtychography) else ()
+    truth = None if truth is None else truth[seen]
+    values = _aligned(draws.values[..., *seen], optics, truth)
     mean = values.mean(axis=(0, 1))
     results = {}
     if truth is not None and problem == DENOISING:
@@ -50,6 +53,8 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
     found = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
     if np.isfinite(found):
         results["misfit"] = found
+    if question.microscope is not None and np.isfinite(question.microscope["dispersion"]):
+        results["dispersion"] = question.microscope["dispersion"]
     # Draws that follow each other step by step would each seem a mode of their own.
     each_alone = isinstance(sampler, RunSampler) and values.shape[0] * values.shape[1] > 2
     if problem == PHASE_RETRIEVAL and each_alone:

@@ -81,6 +81,13 @@ def doubts(
             "from them as its noise allows, in variance; full well, optics or prior are not what "
             "was said, and the intervals are too narrow"
         )
+    if results.get("dispersion", 0.0) > _UNEXPLAINED:
+        said.append(
+            f"photon noise does not explain the images: the calibrated microscope leaves "
+            f"{results['dispersion']:.2g} times its variance, and the draws take so many times "
+            "fewer electrons for what there is; the intervals are true if the rest is as "
+            "independent from pixel to pixel as photons are"
+        )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")
     for name, value in results.items():

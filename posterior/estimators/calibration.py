@@ -7,6 +7,7 @@ the LED array, and the brightness of each LED (Eckert, Phillips and Waller, Appl
 2018, and Yeh et al., Optics Express 23, 33214, 2015, do so one after the other).
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from ..models.likelihood import IntensityLikelihood
 from ..models.optics import FourierPtychography
 from ..models.pupil import pupils
 from ..models.realview import from_real, to_real
-from ..stacks import Stack
+from ..stacks import Stack, grid
 from .quasi_newton import default_start, minimised
 
 _MISPLACED = 4  # parameters of `Calibration.leds`
@@ -36,8 +37,8 @@ _FAINT = 0.05  # electrons: light that no model is sure to lack
 class Calibration(NamedTuple):
     """What a stack tells of its microscope.
 
-    - `leds`: (4,) shift of the LED array (row, column) in Fourier samples, its magnification less
-      1, and its turn in radians, from the columns to the rows.
+    - `leds`: (4,) shift of the LED array (row, column) in Fourier samples of `stacks.grid`, its
+      magnification less 1, and its turn in radians, from the columns to the rows.
     - `aberration`: radians, as in models/pupil.py.
     """
 
@@ -46,12 +47,12 @@ class Calibration(NamedTuple):
 
     def optics(self, stack: Stack, upsampling: int) -> FourierPtychography:
         """The optics of the LEDs of a stack, each centre where it is, not at a whole sample."""
-        places = np.asarray(_moved(_nominal_places(stack), self.leds))
+        low, rim, radii, nominal = grid(stack)
+        places = np.asarray(_moved(nominal, self.leds))
         whole = np.rint(places).astype(int)
-        low = stack.intensity.shape[1:]
-        pupil = pupils(low, stack.radii, places - whole, self.aberration)
+        pupil = pupils(low, radii, places - whole, self.aberration)
         shape = tuple(upsampling * n for n in low)
-        return FourierPtychography(shape, whole, np.asarray(pupil))
+        return FourierPtychography(shape, whole, np.asarray(pupil), rim)
 
     def likelihood(
         self, stack: Stack, upsampling: int, o: np.ndarray
@@ -70,10 +71,17 @@ class Calibration(NamedTuple):
 
 
 class Calibrated(NamedTuple):
-    """A `calibration`, and the object (complex) that was found with it."""
+    """A `calibration`, the object (complex) found with it, and the `dispersion` that they leave.
+
+    Pearson's estimate: squared residuals over the variance of Poisson counts, for each degree of
+    freedom (McCullagh and Nelder, Generalized Linear Models, 1989, section 6.2); 1 where photon
+    noise explains them. Approximation: the object takes up two degrees for each of its frequencies
+    that reach the camera.
+    """
 
     calibration: Calibration
     object: np.ndarray
+    dispersion: float
 
 
 NOMINAL = Calibration(np.zeros(_MISPLACED), np.zeros(_ABERRATIONS))
@@ -110,7 +118,8 @@ def calibrate(
         v = _fitted(scene, v, iterations)
     o, microscope = v[: len(o)], np.asarray(v[len(o) :], float) * _units(stack)
     found = Calibration(microscope[:_MISPLACED], microscope[_MISPLACED:])
-    return Calibrated(found, np.asarray(from_real(o, scene.optics.in_shape, complex)))
+    o = np.asarray(from_real(o, scene.optics.in_shape, complex))
+    return Calibrated(found, o, _dispersion(stack, upsampling, found, o))
 
 
 class _Scene(eqx.Module):
@@ -124,7 +133,8 @@ class _Scene(eqx.Module):
 
     @classmethod
     def of(cls, stack: Stack, start: Calibration, upsampling: int) -> "_Scene":
-        arrays = stack.intensity, _nominal_places(stack), stack.radii, _units(stack)
+        where = grid(stack)
+        arrays = stack.intensity, where.places, where.radii, _units(stack)
         return cls(start.optics(stack, upsampling), *map(jnp.asarray, arrays))
 
     def cost(self, v: jax.Array) -> jax.Array:
@@ -136,8 +146,7 @@ class _Scene(eqx.Module):
         o, microscope = v[: -len(self.units)], v[-len(self.units) :] * self.units
         leds, aberration = microscope[:_MISPLACED], microscope[_MISPLACED:]
         offsets = _moved(self.places, leds) - self.optics.centres
-        low = self.optics.out_shape[1:]
-        pupil = pupils(low, self.radii, offsets, aberration)
+        pupil = pupils(self.optics.low_shape, self.radii, offsets, aberration)
         optics = eqx.tree_at(lambda optics: optics.pupil, self.optics, pupil)
         field = optics(from_real(o, optics.in_shape, complex))
         light = field.real**2 + field.imag**2
@@ -153,6 +162,16 @@ def _brightness(counts: ArrayLike, light: ArrayLike) -> ArrayLike:
     return counts.sum(axis=(1, 2), keepdims=True) / light.sum(axis=(1, 2), keepdims=True)
 
 
+def _dispersion(stack: Stack, upsampling: int, found: Calibration, o: np.ndarray) -> float:
+    likelihood, _ = found.likelihood(stack, upsampling, o)
+    expected = np.asarray(likelihood.expected(jnp.asarray(o)), float) * likelihood.camera.full_well
+    free = stack.intensity.size - 2 * likelihood.optics.frequencies()
+    if free <= 0:
+        return math.nan
+    pearson = np.sum((stack.intensity - expected) ** 2) / np.mean(expected)
+    return float(pearson / free)
+
+
 @eqx.filter_jit
 def _fitted(scene: _Scene, v: jax.Array, iterations: int) -> jax.Array:
     cost = jax.value_and_grad(scene.cost)
@@ -161,7 +180,7 @@ def _fitted(scene: _Scene, v: jax.Array, iterations: int) -> jax.Array:
 
 def _units(stack: Stack) -> np.ndarray:
     """Of what the microscope is fitted in (parameters,)."""
-    outermost = np.linalg.norm(_nominal_places(stack), axis=1).max()
+    outermost = np.linalg.norm(grid(stack).places, axis=1).max()
     # A magnification or a turn of this moves the outermost LED by one unit.
     relative = _LED_UNIT / max(outermost, 1.0)
     return np.r_[_LED_UNIT, _LED_UNIT, relative, relative, [_ABERRATION_UNIT] * _ABERRATIONS]
@@ -173,11 +192,6 @@ def _first_object(stack: Stack, optics: FourierPtychography) -> jax.Array:
     full_well = relative.max() * (1 + 1e-6)
     likelihood = IntensityLikelihood(optics, Poisson(1), 1 / full_well)
     return default_start(likelihood, relative / full_well)
-
-
-def _nominal_places(stack: Stack) -> np.ndarray:
-    """Where the middle of the pupil lies (M, 2) for each LED, in Fourier samples."""
-    return stack.led_na / stack.wavelength * stack.view
 
 
 def _moved(places: jax.Array, leds: jax.Array) -> jax.Array:

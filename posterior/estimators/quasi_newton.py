@@ -184,8 +184,8 @@ def _bright_field(
     likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
 ) -> jax.Array:
     amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
-    low = optics.out_shape[1:]
-    pupils = np.broadcast_to(np.asarray(optics.pupil), optics.out_shape)
+    low = optics.low_shape
+    pupils = np.broadcast_to(np.asarray(optics.pupil), (len(optics.centres), *low))
     # The LED's own light, frequency zero, passes the pupil at the place opposite to the centre.
     place = np.array(low) // 2 - np.asarray(optics.centres)
     inside = np.all((place >= 0) & (place < low), axis=1)
@@ -193,6 +193,7 @@ def _bright_field(
     # A soft pupil fades out: beyond its half the image is a dark field.
     bright = inside & (np.abs(pupils[np.arange(len(row)), row, column]) > np.abs(pupils).max() / 2)
     mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
+    mean = jnp.pad(mean, [(r, r) for r in optics.rim], mode="symmetric")
     whole = FourierPtychography(optics.in_shape, np.zeros((1, 2), int), np.ones(low))
     return whole.adjoint(mean[None]) / whole.norm_squared()
 

@@ -10,13 +10,14 @@ from skimage.transform import resize
 from known import with_nominal_microscope
 from posterior import models, presets, stacks
 from posterior.diagnostics import misfit
-from posterior.estimators import Calibration, calibrate
+from posterior.estimators import Calibration, calibrate, default_start, maximum_likelihood
 from posterior.estimators.calibration import NOMINAL
 from posterior.models.pupil import pupils
 from posterior.stacks import Stack, in_electrons, photon_scale, read_stack
 
 LOW, UPSAMPLING, PIXEL, WAVELENGTH, NA = 32, 3, 1.6e-6, 0.6e-6, 0.1
 RADIUS = NA / WAVELENGTH * LOW * PIXEL  # 8.5 of 16 samples
+WIDE = 48  # with a rim of 8 on each side
 PITCH = 0.42 * NA
 STACKS = 80
 
@@ -27,7 +28,7 @@ def led_grid(side=5):
 
 
 def specimen():
-    size = UPSAMPLING * LOW
+    size = UPSAMPLING * WIDE
     grey = resize(data.cell() / 255.0, (size, size), anti_aliasing=True)
     return presets.complex_object((grey - grey.min()) / np.ptp(grey))
 
@@ -131,7 +132,7 @@ def test_a_missing_and_a_truncated_file_are_refused(tmp_path):
 
 
 def test_electrons_are_counted_by_the_noise_of_the_images():
-    """To 5 %; a band half as wide is caught, for structure counts as noise.
+    """To 5 %; a band 0.4 times as wide is caught, for structure counts as noise.
 
     The variance of an image is a mean over independent frequencies: half of those beyond the band,
     fewer by Hann's 1.94 an axis. A relative error e of it leaves the median of n bright ones
@@ -155,7 +156,7 @@ def test_electrons_are_counted_by_the_noise_of_the_images():
     assert abs(dark.mean() - 1) < 4 * error / np.sqrt(dark.size) < 0.05
     shared = found[:, bright][:, 0]
     assert abs(shared.mean() - 1) < 4 * 1.25 * error / np.sqrt(STACKS * bright.sum()) + error**2 / 3
-    assert variances(NA / 2).mean() > 1.2
+    assert variances(0.4 * NA).mean() > 1.1
 
 
 def test_given_electrons_are_taken_and_pixels_too_coarse_are_told():
@@ -192,20 +193,64 @@ def measured():
 
 
 def test_the_microscope_is_found_again(measured):
-    """To four times the scatter over six recordings; 1.2 is as far above their misfits' 1.07.
+    """To twice its errors over six recordings; 1.8 is far above their misfits, 1.50 to 1.59.
 
-    The misfit is not 1 with the true microscope either: the object is fitted, and others light it.
+    The misfit is 1.34 with the true microscope too: the object is fitted, and others light it. A
+    shift of the LEDs is nearly a ramp of the object's phase, and found to a tenth of a sample.
     """
     fitted, held_out = measured
     found = calibrate(fitted, UPSAMPLING, progress=False)
     leds, aberration = found.calibration
-    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=4 * 0.0072)
-    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=4 * 0.0012)
-    np.testing.assert_allclose(aberration, WRONG.aberration, atol=4 * 0.0025)
+    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=2 * 0.1)
+    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=2 * 0.006)
+    np.testing.assert_allclose(aberration, WRONG.aberration, atol=2 * 0.006)
     right = held_out_misfit(found, held_out)
     wrong = held_out_misfit(with_nominal_microscope(fitted, UPSAMPLING), held_out)
     print(f"misfit of the LEDs held out: {right:.3f}; with the nominal microscope {wrong:.3f}")
-    assert right < 1.2 < 3 < wrong
+    assert right < 1.8 < 5 < wrong
+
+
+def smooth_disc(side, offsets):
+    """Pupils for `side` camera pixels, whose edge is as soft on any grid."""
+    radius = NA / WAVELENGTH * side * PIXEL
+    row, column = ((np.arange(side) - side // 2 - o[:, None]) / radius for o in offsets.T)
+    passed = 1 / (1 + np.exp(17 * (np.hypot(row[:, :, None], column[:, None]) - 1)))
+    return np.where(passed > 1e-3, passed, 0)
+
+
+def rimmed(side, rim, places):
+    """Optics for `side` camera pixels, of which `rim` are cut; `places` are of a side of 64."""
+    places = places * side / 64
+    centres = np.rint(places).astype(int)
+    pupil = smooth_disc(side, places - centres)
+    return models.FourierPtychography((2 * side, 2 * side), centres, pupil, (rim, rim))
+
+
+def test_a_window_of_a_larger_specimen_needs_a_rim():
+    """A stack cut from a field twice as wide: explained with a rim, not without.
+
+    The object fits two degrees of freedom of the noise for each of its frequencies.
+    """
+    places = np.rint(led_grid() / WAVELENGTH * 64 * PIXEL)
+    grey = resize(data.coins()[:300, :300] / 255.0, (128, 128), anti_aliasing=True)
+    field = np.asarray(rimmed(64, 16, places)(jnp.asarray(presets.complex_object(grey))))
+    light = 1000 * np.abs(field) ** 2
+    counts = np.random.default_rng(0).poisson(light)
+    full_well = int(counts.max()) + 1
+
+    def fitted(rim):
+        """Misfit of the likeliest object, for each degree of freedom."""
+        optics = rimmed(LOW + 2 * rim, rim, places)
+        camera = models.Poisson(full_well)
+        likelihood = models.IntensityLikelihood(optics, camera, 1000 / full_well)
+        y = counts / full_well
+        o = np.asarray(maximum_likelihood(likelihood, y, default_start(likelihood, y)).object)
+        return misfit(likelihood, y, o[None]) / (1 - 2 * optics.frequencies() / y.size)
+
+    right, wrong = fitted(8), fitted(0)
+    print(f"with a rim {right:.3f}, without {wrong:.3f}")
+    assert abs(right - 1) < 4 * np.sqrt(np.sum(2 * light**2 + light)) / np.sum(light)
+    assert wrong > 2
 
 
 def test_a_calibration_to_start_from_is_where_it_starts(measured):
@@ -213,6 +258,28 @@ def test_a_calibration_to_start_from_is_where_it_starts(measured):
     found = calibrate(fitted, UPSAMPLING, WRONG, rounds=0, progress=False).calibration
     for ours, theirs in zip(found, WRONG, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [1, 4])
+def test_dispersion_of_counts_of_whole_and_of_quadruple_electrons(gain):
+    """An electron counted four times has four times the variance. To four sd of what is free."""
+    light = exposed(NOMINAL, 2000.0)
+    counts = gain * np.random.default_rng(0).poisson(light.intensity / gain).astype(float)
+    found = calibrate(light._replace(intensity=counts), UPSAMPLING, rounds=2, progress=False)
+    free = counts.size - 2 * NOMINAL.optics(light, UPSAMPLING).frequencies()
+    print(gain, found.dispersion, free)
+    assert found.dispersion == pytest.approx(gain, rel=4 * np.sqrt(2 / free))
+
+
+def test_a_dispersed_stack_keeps_its_mean():
+    light = exposed(NOMINAL, 2000.0)
+    counts = light._replace(intensity=4.0 * np.random.default_rng(0).poisson(light.intensity / 4))
+    fewer = stacks.dispersed(counts, 4.3, jax.random.key(0)).intensity
+    np.testing.assert_array_equal(fewer, np.rint(fewer))
+    rounding = 4 * 0.5 * np.sqrt(counts.intensity.size)
+    assert abs(fewer.sum() - counts.intensity.sum() / 4.3) < rounding
+    for none in (np.nan, 0.8):
+        assert stacks.dispersed(counts, none, jax.random.key(0)) is counts
 
 
 def test_intensities_that_are_no_electrons_are_refused(measured):
@@ -224,12 +291,13 @@ def test_intensities_that_are_no_electrons_are_refused(measured):
 def test_optics_of_a_calibration_have_their_pupils_where_the_leds_are():
     blank = recorded(WRONG, 1.0)
     optics = WRONG.optics(blank, UPSAMPLING)
-    places = led_grid() / WAVELENGTH * LOW * PIXEL
+    places = led_grid() / WAVELENGTH * WIDE * PIXEL
     turned = np.stack([-places[:, 1], places[:, 0]], 1)
     places = places * 1.02 + 0.015 * turned + [0.4, -0.3]
     offsets = places - optics.centres
     assert np.abs(offsets).max() <= 0.5
-    expected = pupils((LOW, LOW), (RADIUS, RADIUS), offsets, WRONG.aberration)
+    radius = RADIUS * WIDE / LOW
+    expected = pupils((WIDE, WIDE), (radius, radius), offsets, WRONG.aberration)
     np.testing.assert_allclose(optics.pupil, expected, atol=1e-5)
 
 
