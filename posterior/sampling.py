@@ -62,6 +62,8 @@ def sample(
     if int(warmup) != warmup or warmup < 0:
         raise ValueError(f"warmup {warmup}: give a whole number, 0 or more")
     start = _checked_start(start, posterior, chains)
+    # No chain has this key.
+    sampler.check(jax.random.fold_in(key, 2**31), posterior, None if start is None else start[0])
     plan = _Plan(sampler, chains, draws, warmup, thin, keep, progress)
     began = time.perf_counter()
     if isinstance(sampler, Ensemble):

@@ -181,7 +181,7 @@ class ScorePrior(LearnedPrior):
         refuse_counts(self.perturbation)
         raise ValueError(
             "a ScorePrior has no density: use a sampler that needs the score alone "
-            "(AnnealedLangevin, ULA), or an EnergyPrior"
+            "(AnnealedLangevin, ULA, MALA with nodes=4), or an EnergyPrior"
         )
 
 

@@ -41,6 +41,9 @@ class Sampler(eqx.Module):
         """The object the state stands at."""
         return state.position
 
+    def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None) -> None:
+        """Refuse, before a run, a posterior or a start that this sampler would be wrong for."""
+
     def steps_per_draw(self) -> int:
         """Steps from one draw to the next: 1, unless a draw is the end of a longer path."""
         return 1

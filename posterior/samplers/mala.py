@@ -1,20 +1,29 @@
 """Metropolis-adjusted Langevin: exact for any posterior with a log-density."""
 
+import warnings
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..models.priors.conservative import line_integral, require_gradient
 from ..models.realview import normal_like
 from ..problem import Posterior
 from .adaptation import MetropolisAdaptation
 from .base import Adaptation, Sampler
+from .checks import check_at_least
 from .metric import METRICS, Metric
+
+# Nats that a Metropolis test is wrong by.
+_REFUSED, _DOUBTED = 1.0, 0.1
 
 
 class MALAState(NamedTuple):
-    """Everything a step needs; `step_size` and `metric` are set by warm-up."""
+    """Everything a step needs; `step_size` and `metric` are set by warm-up.
+
+    `log_prob`: of the posterior, or of the likelihood alone where the prior is integrated.
+    """
 
     position: jax.Array
     log_prob: jax.Array
@@ -38,11 +47,17 @@ class MALA(Sampler):
     warm-up adapts it to an acceptance of `target` (0.574, optimal in many dimensions: Roberts and
     Rosenthal 1998) and learns M, of the kind `preconditioner`: "diagonal", "fourier", "none", or
     "auto": Fourier-diagonal for pictures of 256 pixels or more, diagonal otherwise.
+
+    `nodes` is for a prior that has a score and no density: its part of the Metropolis ratio is then
+    the integral of the score along the proposed move, by Gauss-Legendre with so many nodes. Exact
+    if the score is a gradient; `sample` measures how far it is from one first, and refuses, or
+    warns (`check`).
     """
 
     step_size: float = 0.1
     preconditioner: str = eqx.field(static=True, default="auto")
     target: float = eqx.field(static=True, default=0.574)
+    nodes: int | None = eqx.field(static=True, default=None)
 
     shared: ClassVar[tuple[str, ...]] = ("posterior", "step_size", "metric")
 
@@ -56,13 +71,34 @@ class MALA(Sampler):
             )
         if not 0 < self.target < 1:
             raise ValueError(f"target acceptance {self.target}: it must lie between 0 and 1")
+        if self.nodes is not None:
+            check_at_least(("nodes", self.nodes, 1))
+
+    def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None = None) -> None:
+        """Measure, where `nodes` are given, how far the prior's score is from a gradient.
+
+        Round triangles of 0.3 of the prior's finest level in every pixel, about a move, at `start`
+        or at draws of the prior: raises ValueError where the Metropolis test would be wrong by more
+        than 1 nat, warns (UserWarning) from 0.1.
+        """
+        if self.nodes is None:
+            return
+        prior = posterior.prior
+        level = jnp.maximum(prior.finest, 0.01 * prior.scale)
+        found = require_gradient(prior, key, level, _REFUSED, start=start)
+        if found.loop > _DOUBTED:
+            warnings.warn(
+                f"the prior's score integrates to {found.loop:.2g} nats round a loop, and to "
+                f"{found.leg:.2g} along a side: draws are wrong by about as much, in log-density",
+                stacklevel=3,
+            )
 
     def init(
         self, key: jax.Array, posterior: Posterior, position: jax.Array | None = None
     ) -> MALAState:
         """State at `position`, or at a dispersed start, with the identity metric."""
         position = posterior.start(key) if position is None else position
-        log_prob, score = posterior.log_prob_and_score(position)
+        log_prob, score = self._value_and_score(posterior, position)
         step_size = jnp.asarray(self.step_size, log_prob.dtype)
         metric = self._metric_kind(position).identity(position)
         return MALAState(position, log_prob, score, step_size, metric, posterior)
@@ -74,10 +110,13 @@ class MALA(Sampler):
         noise = normal_like(key_noise, state.position)
         move = h * metric.root_adjoint(state.score) + jnp.sqrt(2 * h) * noise
         position = state.position + metric.root(move)
-        log_prob, score = state.posterior.log_prob_and_score(position)
+        log_prob, score = self._value_and_score(state.posterior, position)
         # In units of M the way back needs the noise -(noise + sqrt(h/2) R^T (s + s')).
         noise_back = noise + jnp.sqrt(h / 2) * metric.root_adjoint(state.score + score)
         log_ratio = log_prob - state.log_prob + 0.5 * (_norm2(noise) - _norm2(noise_back))
+        if self.nodes is not None:
+            prior = state.posterior.prior
+            log_ratio += line_integral(prior, state.position, position, 0.0, self.nodes)
         # A NaN ratio (a proposal where the density is undefined) is a rejection.
         acceptance = jnp.where(jnp.isnan(log_ratio), 0.0, jnp.exp(jnp.minimum(log_ratio, 0.0)))
         accepted = jax.random.uniform(key_accept, dtype=acceptance.dtype) < acceptance
@@ -92,6 +131,12 @@ class MALA(Sampler):
     def adaptation(self) -> Adaptation:
         """Step size and metric, pooled over the chains."""
         return MetropolisAdaptation(self, learn_metric=self.preconditioner != "none")
+
+    def _value_and_score(self, posterior: Posterior, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        if self.nodes is None:
+            return posterior.log_prob_and_score(x)
+        value, score = posterior.likelihood.log_prob_and_score(x, posterior.y)
+        return value, score + posterior.prior.score(x)
 
     def _metric_kind(self, x: jax.Array) -> type[Metric]:
         name = self.preconditioner

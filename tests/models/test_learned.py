@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from analytic import wiener
+from networks import network_denoiser
 
 import posterior as ps
 from posterior import models
@@ -23,7 +24,6 @@ from posterior.models.priors.perturbation import (
 )
 from posterior.models.priors.pictures import Pictures
 from posterior.models.priors.training import Recipe, patch_loss
-from posterior.models.priors.unet import UNet
 from posterior.models.realview import to_real
 
 KINDS = {"score": ScorePrior, "energy": EnergyPrior}
@@ -279,16 +279,6 @@ def test_precision_of_the_object_is_kept(precision, kind):
 
 
 # ---- a network that is no closed form ------------------------------------------------------------
-
-
-def network_denoiser(dtype="float64", perturbation="gaussian"):
-    network = UNet(1, jax.random.key(4), (8, 8), fine=4)
-    # A fresh network says almost nothing: enlarge its last layer, to have something to measure.
-    network = eqx.tree_at(lambda n: n.fine_out.kernel, network, replace_fn=lambda k: 30 * k)
-    network = jax.tree.map(lambda a: a.astype(dtype), network)
-    floor = 0.01 if perturbation == "signal" else 0.0
-    statistics = Statistics(0.3, 0.25, 0.01, 10.0, perturbation, lowest=floor)
-    return Denoiser(network, statistics)
 
 
 @pytest.mark.parametrize(

@@ -80,11 +80,13 @@ def test_the_linear_gaussian_posterior_of_64_by_48(x64, sampler, settings, dtype
     "sampler, settings",
     [
         (samplers.BlackJAX(blackjax.nuts), {"draws": 2000}),
+        # The score of a Gaussian is linear: one node is exact.
+        (samplers.MALA(nodes=1), {"draws": 2000, "thin": 10}),
         (samplers.TemperedSMC(), {"draws": 2000}),
         # Twenty-five batches of two walkers each, so that no two share one.
         (samplers.Ensemble(walkers=50), {"draws": 50 * 1000, "chains": 4}),
     ],
-    ids=["nuts", "smc", "emcee"],
+    ids=["nuts", "mala by line integral", "smc", "emcee"],
 )
 def test_samplers_draw_a_small_linear_gaussian_posterior(x64, sampler, settings):
     post, mean, covariance = linear_gaussian(2, 2, complex)

@@ -79,7 +79,7 @@ def test_a_calibrated_microscope_predicts_images_it_has_not_seen(halves, found):
     mean = misfits("mean of draws", found._replace(object=draws.mean(axis=0)), halves)
     print(f"dispersion {found.dispersion:.1f}, misfit of draws that know of it {own:.2f}")
     assert mean[2] < 1.1 * right[2]
-    assert abs(own - 1) < 0.1
+    assert 0.8 < own < 1.25
 
 
 def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from networks import fresh, relative_error, trained_on, two_levels
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -15,19 +16,11 @@ from posterior import train as training
 from posterior import training_report
 from posterior.cli import app
 from posterior.cli.train import _data_folder
-from posterior.models import priors
-from posterior.models.priors import EnergyPrior, ScorePrior
-from posterior.models.priors.denoiser import Denoiser, Statistics
+from posterior.models.priors import ScorePrior
+from posterior.models.priors.denoiser import Statistics
 from posterior.models.priors.pictures import Pictures
-from posterior.models.priors.storage import build_network
 from posterior.models.priors.training import Recipe, random_level
 from posterior.train import Preparation, picture_files, prepare, split_names
-
-NETWORK = {"type": "unet", "channels": 1, "widths": [8], "blocks": 1, "fine": 8}
-
-
-def fresh(statistics, network=NETWORK):
-    return Denoiser(build_network(network, jax.random.key(0)), statistics)
 
 
 def weights_of(denoiser):
@@ -128,43 +121,6 @@ def test_levels_are_within_the_trained_ones_and_reach_both_ends():
         low, high = statistics.sigma_min, statistics.sigma_max
         assert low * 0.999 <= levels.min() < 2 * low
         assert high / 2 < levels.max() <= high * 1.001
-
-
-def pixels_of(prior, count=256, size=8):
-    keys = jax.random.split(jax.random.key(0), count)
-    return list(np.asarray(jax.vmap(prior.sample)(keys), "f4").reshape(-1, size, size, 1))
-
-
-def two_levels(size=8):
-    """Pictures that are all dark or all bright, with a little texture: far from Gaussian."""
-    n = size * size
-    return priors.GaussianMixture(
-        [0.5, 0.5],
-        [np.full(n, 0.2), np.full(n, 0.8)],
-        np.broadcast_to(0.05**2 * np.eye(n), (2, n, n)),
-        (size, size),
-    )
-
-
-def relative_error(prior, exact, sigma, count=64):
-    """Of the score, root mean square over noisy draws, in units of the exact score's."""
-    keys = jax.random.split(jax.random.key(9), (2, count))
-    x = jax.vmap(exact.sample)(keys[0])
-    noise = jax.vmap(lambda k: jax.random.normal(k, exact.shape))(keys[1])
-    x = (x + sigma * noise).astype("f4")
-    found, true = (jax.jit(jax.vmap(lambda x, p=p: p.score(x, sigma)))(x) for p in (prior, exact))
-    return float(jnp.sqrt(jnp.mean((found - true) ** 2) / jnp.mean(true**2)))
-
-
-def trained_on(exact, steps, widths, kind="score", batch=16):
-    pictures = pixels_of(exact)
-    flat = np.stack(pictures)
-    statistics = Statistics(float(flat.mean()), float(flat.std()), 0.005, 8.0)
-    recipe = Recipe(kind, steps=steps, batch=batch, size=8, rate=3e-3)
-    denoiser = fresh(statistics, NETWORK | {"widths": widths})
-    found, losses, _ = training.train(denoiser, pictures, recipe)
-    prior = ScorePrior if kind == "score" else EnergyPrior
-    return prior(denoiser, exact.shape), prior(found, exact.shape), losses
 
 
 def test_short_training_comes_nearer_to_the_analytic_score():
