@@ -1,0 +1,208 @@
+"""Networks whose truth is known: MALA under an energy, emcee beside it, and an error budget.
+
+A study. The networks are trained on draws of mixtures of Gaussians, two to four minutes each.
+"""
+
+import blackjax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from networks import trained_on, two_levels
+
+import posterior as ps
+from known import batch_error
+from posterior import models, samplers
+from posterior.models import priors
+
+pytestmark = pytest.mark.slow
+
+
+def two_textures(size=8):
+    """Pictures about one of two means that chains can cross between: 2.4 sd apart."""
+    n = size * size
+    half = np.repeat([0.03, -0.03], n // 2)
+    covariance = np.broadcast_to(0.2**2 * np.eye(n), (2, n, n))
+    return priors.GaussianMixture([0.5, 0.5], [0.5 + half, 0.5 - half], covariance, (size, size))
+
+
+def denoising(prior, y, camera):
+    likelihood = models.LinearLikelihood(models.Identity(prior.shape), camera)
+    return ps.Problem(likelihood, prior).condition(y)
+
+
+# ---- the posterior of an energy ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def energy():
+    return trained_on(two_textures(), steps=600, widths=[8], kind="energy")[1]
+
+
+CHAINS, ROUNDS, MOVES = 400, 40, 5
+
+
+def functionals(x):
+    """Of objects (n, 8, 8): mean, energy, roughness, and the contrast that parts the means."""
+    contrast = x[:, :4].mean((1, 2)) - x[:, 4:].mean((1, 2))
+    return {
+        "mean": x.mean((1, 2)),
+        "squares": (x**2).mean((1, 2)),
+        "roughness": (np.diff(x, axis=1) ** 2).mean((1, 2)),
+        "contrast": contrast,
+    }
+
+
+def draws_of(prior, key):
+    """Independent draws of a prior with a density: NUTS, beside a recording that says nothing."""
+    post = denoising(prior, np.full(prior.shape, 0.5), models.Gaussian(100.0))
+    settings = {"chains": CHAINS, "draws": 1, "thin": 100, "warmup": 300, "progress": False}
+    return ps.sample(post, samplers.BlackJAX(blackjax.nuts), key, **settings).values[:, 0]
+
+
+def successive(prior, start, key, accept_all):
+    """Recording given object, MALA on the object given the recording, in turns (Geweke 2004)."""
+    post = denoising(prior, np.full(prior.shape, 0.5), models.Gaussian(0.2))
+    sampler = samplers.MALA(0.012, "none")
+
+    def one_chain(x, key):
+        def a_round(x, key):
+            key_data, *keys = jax.random.split(key, MOVES + 1)
+            y = post.likelihood.simulate(key_data, x)
+            state = sampler.init(key, ps.problem.Posterior(post.likelihood, prior, y), x)
+            for k in keys:
+                if accept_all:
+                    moved = samplers.ULA(0.012).init(k, state.posterior, state.position)
+                    moved, _ = samplers.ULA(0.012).step(k, moved)
+                    state = sampler.init(k, state.posterior, moved.position)
+                else:
+                    state, _ = sampler.step(k, state)
+            return state.position, None
+
+        return jax.lax.scan(a_round, x, jax.random.split(key, ROUNDS))[0]
+
+    keys = jax.random.split(key, CHAINS)
+    return np.asarray(jax.jit(jax.vmap(one_chain))(jnp.asarray(start), keys))
+
+
+def smallest_p(one, other):
+    """Of Kolmogorov and Smirnov's test of each functional, corrected for their number."""
+    one, other = functionals(one), functionals(other)
+    p = {name: scipy.stats.ks_2samp(one[name], other[name]).pvalue for name in one}
+    print({name: f"{value:.2g}" for name, value in p.items()})
+    return min(1.0, len(p) * min(p.values()))
+
+
+def test_mala_leaves_the_posterior_of_an_energy_as_it_is(energy):
+    """Objects and recordings drawn in turns keep the prior; without a Metropolis test they do not.
+
+    The prior's own draws are by NUTS, an independent implementation.
+    """
+    keys = jax.random.split(jax.random.key(3), 4)
+    start, others = draws_of(energy, keys[0]), draws_of(energy, keys[1])
+    print()
+    assert smallest_p(start, others) > 0.01
+    assert smallest_p(successive(energy, start, keys[2], False), others) > 0.01
+    assert smallest_p(successive(energy, start, keys[3], True), others) < 1e-6
+
+
+def test_emcee_mala_and_annealed_langevin_agree_on_a_small_patch(energy):
+    """The same network on 2x2 pixels: means and variances, in posterior sd.
+
+    MALA and emcee to four times their Monte-Carlo error; annealed Langevin, which approximates, and
+    whose prior at its finest level is blurred as that of the others is, to 0.1 beside it.
+    """
+    prior = priors.EnergyPrior(energy.denoiser, (2, 2))
+    y = np.array([[0.3, 0.5], [0.6, 0.7]])
+    post = denoising(prior, y, models.Gaussian(0.15))
+    runs = {
+        "emcee": (samplers.Ensemble(walkers=32), {"draws": 32 * 2000, "chains": 4}),
+        "mala": (samplers.MALA(), {"draws": 5000, "thin": 5, "chains": 4}),
+        "annealed": (samplers.AnnealedLangevin(), {"draws": 50, "chains": 64}),
+    }
+    found = {}
+    for i, (name, (sampler, settings)) in enumerate(runs.items()):
+        values = ps.sample(post, sampler, jax.random.key(i), progress=False, **settings).values
+        found[name] = moments(values.reshape(*values.shape[:2], -1))
+    mean, variance = found["emcee"][0]
+    print()
+    for name, ((m, v), (em, ev)) in found.items():
+        off, ratio = (m - mean) / np.sqrt(variance), v / variance
+        print(
+            f"{name}: mean off by {np.round(off, 3)} sd, variance over emcee's {np.round(ratio, 3)}"
+        )
+        slack = 0.1 if name == "annealed" else 0.0
+        error = np.hypot(em, found["emcee"][1][0]) / np.sqrt(variance)
+        assert np.all(np.abs(off) < 4 * error + slack)
+        error = np.hypot(ev, found["emcee"][1][1]) / variance
+        assert np.all(np.abs(ratio - 1) < 4 * error + slack)
+
+
+def moments(values):
+    """Mean and variance of draws (chains, draws, n), and the Monte-Carlo error of each."""
+    mean = values.mean((0, 1))
+    squares = (values - mean) ** 2
+    return (mean, squares.mean((0, 1))), (batch_error(values), batch_error(squares))
+
+
+# ---- the error budget ----------------------------------------------------------------------------
+
+TRUTHS, FULL_WELL = 24, 20
+
+
+def test_error_budget_of_annealed_langevin_on_photon_counts(capsys):
+    """Where the error of a draw comes from: steps, likelihood at a level, network; one at a time.
+
+    Photon counts of pictures of 8x8 pixels that are dark or bright; the prior known. Against MALA
+    under it and the exact likelihood: the distance of the means in posterior sd, the Monte-Carlo
+    part taken off, and the ratio of the sd.
+    """
+    exact = two_levels()
+    score = trained_on(exact, steps=3000, widths=[24], kind="score", batch=32)[1]
+    energy = trained_on(exact, steps=3000, widths=[24], kind="energy", batch=32)[1]
+    camera = models.Poisson(FULL_WELL)
+    keys = jax.random.split(jax.random.key(5), TRUTHS)
+    likelihood = models.LinearLikelihood(models.Identity(exact.shape), camera)
+    ys = [np.asarray(ps.Problem(likelihood, exact).simulate(k)[1]) for k in keys]
+    mala = samplers.MALA(), {"draws": 250, "thin": 10, "warmup": 600, "chains": 4}
+    default = samplers.AnnealedLangevin(), {"draws": 25, "chains": 40}
+    fine = samplers.AnnealedLangevin(levels=160, steps=24), {"draws": 25, "chains": 16}
+    arms = {
+        "MALA again: the floor": (exact, *mala),
+        "likelihood at a level: exact prior, 16 times the steps": (exact, *fine),
+        "and steps: exact prior, default": (exact, *default),
+        "network alone: its energy, MALA": (energy, *mala),
+        "all: its score, default": (score, *default),
+    }
+    lines, worst = [], {}
+    reference = [drawn(exact, y, camera, *mala, key=1) for y in ys]
+    for name, arm in arms.items():
+        found = [drawn(arm[0], y, camera, *arm[1:], key=2) for y in ys]
+        off, ratio = compared(found, reference)
+        worst[name] = off, ratio
+        lines.append(f"{off:8.3f} {ratio:8.3f}   {name}")
+    with capsys.disabled():
+        print("\n  mean off   sd ratio (posterior sd)")
+        print("\n".join(lines))
+    assert worst["MALA again: the floor"][0] < 0.05
+    for off, ratio in worst.values():
+        assert off < 0.2 and abs(ratio - 1) < 0.1
+
+
+def drawn(prior, y, camera, sampler, settings, key):
+    """Mean, variance, and squared Monte-Carlo error of the mean, of every pixel."""
+    # Dark or bright is sure: a chain that begins in the other mode would stay there.
+    post = denoising(prior, y, camera)
+    start = np.full(prior.shape, 0.2 if y.mean() < 0.5 else 0.8)
+    values = ps.sample(post, sampler, jax.random.key(key), start=start, progress=False, **settings)
+    values = values.values.reshape(*values.values.shape[:2], -1)
+    return values.mean((0, 1)), values.var((0, 1)), batch_error(values) ** 2
+
+
+def compared(found, reference):
+    """Distance of the means in posterior sd, less what is Monte Carlo, and ratio of the sd."""
+    means, variances, errors = (np.array(part) for part in zip(*found))
+    exact, spread, noise = (np.array(part) for part in zip(*reference))
+    squared = np.mean(((means - exact) ** 2 - errors - noise) / spread)
+    return float(np.sqrt(max(squared, 0.0))), float(np.sqrt(np.mean(variances) / np.mean(spread)))
