@@ -512,12 +512,19 @@ def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
     """Drawn, said, and drawn again; calibrated in a hurry."""
     hurried = functools.partial(presets.calibrate, rounds=1, iterations=10)
     monkeypatch.setattr(presets, "calibrate", hurried)
-    arguments = ("--prior", folder / "specimen.npy", *SMALL)
+    arguments = ("--prior", folder / "specimen.npy", "--electrons", 1, *SMALL)
     out = tmp_path / "run"
     assert _main("sample", "ptychography", "--stack", stack, "--out", out, *arguments) == 0
     assert {f.name for f in out.iterdir()} == COMPLEX
     said = capsys.readouterr().out
     assert said.startswith("ptychography of stack.npz: mala") and "squared residual" in said
+    microscope = json.loads((out / "settings.json").read_text())["microscope"]
+    assert {"electrons", "dispersion", "leds", "aberration"} == set(microscope)
+    assert np.allclose(microscope["electrons"], 1)
+    # The rim is drawn, and not shown.
+    shown = tifffile.imread(out / "mean_amplitude.tif").shape
+    drawn = ps.load(out / "draws.nc").values.shape[2:]
+    assert shown == (32, 32) and min(drawn) > 32
     again = tmp_path / "again"
     assert _main("repeat", out / "settings.json", "--out", again, "--quiet") == 0
     first, second = (ps.load(path / "draws.nc").values for path in (out, again))
@@ -531,6 +538,7 @@ def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
         ("ptychography", ("--size", 64), "--size 64: a stack says so itself"),
         ("ptychography", ("--oversampling", 3), "--oversampling 3: a stack says so itself"),
         ("ptychography", ("--data", "x.tif"), "give either --image"),
+        ("ptychography", ("--electrons", 0), "electrons of shape (), the least 0"),
         ("denoising", (), "--stack is for ptychography"),
     ],
 )
