@@ -188,7 +188,7 @@ def measured(
         "electrons": (
             counts.intensity.sum(axis=(1, 2)) / stack.intensity.sum(axis=(1, 2))
         ).tolist(),
-        "dispersion": found.dispersion,
+        "dispersion": found.dispersion.tolist(),
         "leds": found.calibration.leds.tolist(),
         "aberration": found.calibration.aberration.tolist(),
     }

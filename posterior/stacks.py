@@ -185,18 +185,19 @@ def in_electrons(stack: Stack, electrons: float | np.ndarray | None = None) -> S
     return checked_stack(stack._replace(intensity=counts))
 
 
-def dispersed(stack: Stack, dispersion: float, key: jax.Array) -> Stack:
+def dispersed(stack: Stack, dispersion: np.ndarray, key: jax.Array) -> Stack:
     """A stack of electrons as if of fewer, whose photon noise has `dispersion` times the variance.
 
+    `dispersion` (M,), one an LED; where it is at most 1, or none (nan), the image stays as it is.
     The quasi-likelihood of overdispersed counts (McCullagh and Nelder, Generalized Linear Models,
     1989, section 9.2): their Poisson likelihood to the power of 1 / dispersion. Counts are divided,
     and rounded up or down at random, which keeps their mean and adds at most 1/4 to their variance.
-    As it is for a dispersion of at most 1, or none (nan).
+    Raises ValueError where nothing of an image is left.
     """
-    if not dispersion > 1:
-        return stack
+    divisor = np.fmax(dispersion, 1.0)[:, None, None]
     up = np.asarray(jax.random.uniform(key, stack.intensity.shape), float)
-    return stack._replace(intensity=np.floor(stack.intensity / dispersion + up))
+    fewer = np.where(divisor > 1, np.floor(stack.intensity / divisor + up), stack.intensity)
+    return checked_stack(stack._replace(intensity=fewer))
 
 
 class Grid(NamedTuple):

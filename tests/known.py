@@ -110,4 +110,4 @@ def with_nominal_microscope(stack, upsampling):
     for _ in range(4):
         likelihood, y = NOMINAL.likelihood(stack, upsampling, o)
         o = np.asarray(maximum_likelihood(likelihood, y, o).object)
-    return found._replace(object=o, dispersion=np.nan)
+    return found._replace(object=o, dispersion=np.full(len(stack.led_na), np.nan))

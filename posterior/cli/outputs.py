@@ -86,6 +86,8 @@ def _json(value: Any) -> Any:
     """JSON has no infinity: such a number is written as null."""
     if isinstance(value, dict):
         return {k: _json(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_json(v) for v in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

@@ -54,14 +54,15 @@ def run(
             sampler.size(posterior)
         draws = _draw(options, question, posterior, sampler, keys, out / CHECKPOINT, quiet)
     except (ValueError, OSError):
-        if created and not any(out.iterdir()):
-            out.rmdir()
+        _leave_no_empty(out, created)
         raise
     except KeyboardInterrupt:
-        print(
-            f"interrupted: what is done is in {out / CHECKPOINT}, the same command goes on from it",
-            file=sys.stderr,
-        )
+        if (out / CHECKPOINT).exists():
+            kept = f"what is done is in {out / CHECKPOINT}, the same command goes on from it"
+        else:
+            kept = "no draw was begun, the same command starts anew"
+            _leave_no_empty(out, created)
+        print(f"interrupted: {kept}", file=sys.stderr)
         raise typer.Exit(130) from None
     summary = summarise(draws, question, options.problem, sampler)
     settings = {
@@ -85,6 +86,11 @@ def run(
     write(out, draws, question, summary, settings)
     tell(out, settings)
     return settings
+
+
+def _leave_no_empty(out: Path, created: bool) -> None:
+    if created and not any(out.iterdir()):
+        out.rmdir()
 
 
 def _file_hash(path: str) -> str:

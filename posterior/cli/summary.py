@@ -53,8 +53,8 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
     found = misfit(question.problem.likelihood, question.y, draws.values[:, -1])
     if np.isfinite(found):
         results["misfit"] = found
-    if question.microscope is not None and np.isfinite(question.microscope["dispersion"]):
-        results["dispersion"] = question.microscope["dispersion"]
+    if question.microscope is not None:
+        results["dispersion"] = float(np.median(question.microscope["dispersion"]))
     # Draws that follow each other step by step would each seem a mode of their own.
     each_alone = isinstance(sampler, RunSampler) and values.shape[0] * values.shape[1] > 2
     if problem == PHASE_RETRIEVAL and each_alone:

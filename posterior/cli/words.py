@@ -84,9 +84,14 @@ def doubts(
     if results.get("dispersion", 0.0) > _UNEXPLAINED:
         said.append(
             f"photon noise does not explain the images: the calibrated microscope leaves "
-            f"{results['dispersion']:.2g} times its variance, and the draws take so many times "
-            "fewer electrons for what there is; the intervals are true if the rest is as "
-            "independent from pixel to pixel as photons are"
+            f"{results['dispersion']:.2g} times its variance (median of the LEDs), and the draws "
+            "take each image for one of so many times fewer electrons; the intervals are true if "
+            "the rest is as independent from pixel to pixel as photons are"
+        )
+    if np.isnan(results.get("dispersion", 0.0)):
+        said.append(
+            "the stack has no more pixels than its object has unknowns: whether photon noise "
+            "explains the images cannot be told"
         )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")

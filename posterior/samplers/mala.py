@@ -77,19 +77,20 @@ class MALA(Sampler):
     def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None = None) -> None:
         """Measure, where `nodes` are given, how far the prior's score is from a gradient.
 
-        Round triangles of 0.3 of the prior's finest level in every pixel, about a move, at `start`
-        or at draws of the prior: raises ValueError where the Metropolis test would be wrong by more
-        than 1 nat, warns (UserWarning) from 0.1.
+        Of a learnt prior; any other's score is the gradient of its density. Round triangles of 0.3
+        of its finest level in every pixel, about a move where the prior is narrowest, at `start` or
+        at draws of the prior: raises ValueError where the integral is more than 1 nat, warns
+        (UserWarning) from 0.1. It grows with the number of pixels.
         """
-        if self.nodes is None:
-            return
         prior = posterior.prior
-        level = jnp.maximum(prior.finest, 0.01 * prior.scale)
-        found = require_gradient(prior, key, level, _REFUSED, start=start)
+        if self.nodes is None or not prior.finest > 0:
+            return
+        found = require_gradient(prior, key, prior.finest, _REFUSED, start=start)
         if found.loop > _DOUBTED:
             warnings.warn(
-                f"the prior's score integrates to {found.loop:.2g} nats round a loop, and to "
-                f"{found.leg:.2g} along a side: draws are wrong by about as much, in log-density",
+                f"the prior's score integrates to {found.loop:.2g} nats round a loop (to "
+                f"{found.leg:.2g} along a side): it is no gradient, and the Metropolis test is as "
+                "wrong; an EnergyPrior has none of this",
                 stacklevel=3,
             )
 

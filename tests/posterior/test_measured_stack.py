@@ -54,14 +54,17 @@ def found(halves):
     return calibrate(fitted, upsampling, progress=False)
 
 
-def drawn(found, stack, upsampling, key):
-    """Draws from a stack whose electrons are as few as the dispersion says; and their misfit."""
+def drawn(found, stack, dispersion, upsampling, key):
+    """Draws from a stack whose electrons are as few as the dispersion says; and their misfit.
+
+    They start from the quasi-Newton solution of these images alone.
+    """
     prior = models.ScorePrior.load("complex-cells", found.object.shape)
     o = found.object * presets.prior_scale(found.object, prior)
-    fewer = dispersed(stack, found.dispersion, jax.random.key(9))
+    fewer = dispersed(stack, dispersion, jax.random.key(9))
     likelihood, y = found.calibration.likelihood(fewer, upsampling, o)
     posterior = ps.Problem(likelihood, prior).condition(y)
-    start = presets.start_of("annealed", posterior, key, CHAINS, estimate=o)
+    start = presets.start_of("annealed", posterior, key, CHAINS)
     settings = {"chains": CHAINS, "draws": 1, "start": start, "progress": False}
     draws = ps.sample(posterior, presets.learned_annealing(posterior), key, **settings)
     draws = align(draws.values[:, 0], draws.values[0, 0], ["global_phase"])
@@ -75,18 +78,22 @@ def test_a_calibrated_microscope_predicts_images_it_has_not_seen(halves, found):
     assert right[2] < 0.1 * believed[2]
     assert right[3] < 0.6 * believed[3]
 
-    draws, own = drawn(found, fitted, upsampling, jax.random.key(0))
+    draws, own = drawn(found, fitted, found.dispersion, upsampling, jax.random.key(0))
     mean = misfits("mean of draws", found._replace(object=draws.mean(axis=0)), halves)
-    print(f"dispersion {found.dispersion:.1f}, misfit of draws that know of it {own:.2f}")
+    parts = (np.median(found.dispersion[leds]) for leds in (fitted.bright, ~fitted.bright))
+    print("dispersion, median: bright {:.1f}, dark {:.1f}".format(*parts))
+    print(f"misfit of draws that know of it: {own:.2f}")
     assert mean[2] < 1.1 * right[2]
-    assert 0.8 < own < 1.25
+    # Quasi-Newton follows the noise, which the dispersion takes for degrees of freedom; draws do
+    # not. Measured 1.1.
+    assert 1 < own < 1.25
 
 
 def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
-    """One calibration, two posteriors of other images: what they say apart, and what they differ.
+    """One calibration, two posteriors of other images: their spread over how far they differ.
 
-    In amplitude it is right as a whole; between 10 and 40 Fourier samples of the field of view
-    draws are too sure, for what photons do not explain is not as white as they are.
+    Below 1 they are too sure. At 1 or above nothing is proven: both lean on the same prior. Printed
+    by band of the complex object too, in periods across the field of view.
     """
     *stacks, upsampling = halves
     whole = stacks[0]._replace(
@@ -95,7 +102,8 @@ def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
     )
     found = calibrate(whole, upsampling, progress=False)
     keys = jax.random.split(jax.random.key(1))
-    sets = [drawn(found, s, upsampling, k)[0] for s, k in zip(stacks, keys)]
+    dispersions = np.split(found.dispersion, [len(stacks[0].led_na)])
+    sets = [drawn(found, *half, upsampling, k)[0] for *half, k in zip(stacks, dispersions, keys)]
     seen = found.calibration.optics(whole, upsampling).field_of_view
     one, other = (align(d, sets[0].mean(axis=0), ["global_phase"])[:, *seen] for d in sets)
     amplitude = spread_over_difference(np.abs(one), np.abs(other))
@@ -103,16 +111,13 @@ def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
     taper = np.multiply.outer(*(np.hanning(n) for n in one.shape[1:]))
     spectra = [np.fft.fftn(d * taper, axes=(1, 2)) for d in (one, other)]
     radius = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in one.shape[1:])))
-    ratios = {}
     for low, high in BANDS:
         band = (low <= radius) & (radius < high)
-        ratios[low] = spread_over_difference(*(s[:, band] for s in spectra))
-        print(f"  {low} to {high} Fourier samples: {ratios[low]:.2f}")
-    assert 0.8 < amplitude < 1.25
-    assert max(ratios[10], ratios[20]) < 0.8
+        print(f"  {low} to {high}: {spread_over_difference(*(s[:, band] for s in spectra)):.2f}")
+    assert amplitude > 0.8
 
 
 def spread_over_difference(one, other):
-    """Of two sets of draws (draws, ...): 1 if their means differ as far as both together spread."""
+    """Of two sets of draws (draws, ...): root of both variances over how far the means differ."""
     variance = (one.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)).mean() * (1 + 1 / len(one))
     return np.sqrt(variance / np.mean(np.abs(one.mean(axis=0) - other.mean(axis=0)) ** 2))

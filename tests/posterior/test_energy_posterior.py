@@ -1,7 +1,4 @@
-"""Networks whose truth is known: MALA under an energy, emcee beside it, and an error budget.
-
-A study. The networks are trained on draws of mixtures of Gaussians, two to four minutes each.
-"""
+"""The posterior of an energy network: MALA leaves it as it is, emcee agrees. A study."""
 
 import blackjax
 import jax
@@ -9,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from networks import trained_on, two_levels
+from networks import trained_on
 
 import posterior as ps
 from known import batch_error
@@ -30,9 +27,6 @@ def two_textures(size=8):
 def denoising(prior, y, camera):
     likelihood = models.LinearLikelihood(models.Identity(prior.shape), camera)
     return ps.Problem(likelihood, prior).condition(y)
-
-
-# ---- the posterior of an energy ------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +97,10 @@ def test_mala_leaves_the_posterior_of_an_energy_as_it_is(energy):
     start, others = draws_of(energy, keys[0]), draws_of(energy, keys[1])
     print()
     assert smallest_p(start, others) > 0.01
-    assert smallest_p(successive(energy, start, keys[2], False), others) > 0.01
+    kept = successive(energy, start, keys[2], False)
+    # A chain that stays where it began keeps its distribution too.
+    assert np.corrcoef(start.ravel(), kept.ravel())[0, 1] < 0.3
+    assert smallest_p(kept, others) > 0.01
     assert smallest_p(successive(energy, start, keys[3], True), others) < 1e-6
 
 
@@ -144,65 +141,3 @@ def moments(values):
     mean = values.mean((0, 1))
     squares = (values - mean) ** 2
     return (mean, squares.mean((0, 1))), (batch_error(values), batch_error(squares))
-
-
-# ---- the error budget ----------------------------------------------------------------------------
-
-TRUTHS, FULL_WELL = 24, 20
-
-
-def test_error_budget_of_annealed_langevin_on_photon_counts(capsys):
-    """Where the error of a draw comes from: steps, likelihood at a level, network; one at a time.
-
-    Photon counts of pictures of 8x8 pixels that are dark or bright; the prior known. Against MALA
-    under it and the exact likelihood: the distance of the means in posterior sd, the Monte-Carlo
-    part taken off, and the ratio of the sd.
-    """
-    exact = two_levels()
-    score = trained_on(exact, steps=3000, widths=[24], kind="score", batch=32)[1]
-    energy = trained_on(exact, steps=3000, widths=[24], kind="energy", batch=32)[1]
-    camera = models.Poisson(FULL_WELL)
-    keys = jax.random.split(jax.random.key(5), TRUTHS)
-    likelihood = models.LinearLikelihood(models.Identity(exact.shape), camera)
-    ys = [np.asarray(ps.Problem(likelihood, exact).simulate(k)[1]) for k in keys]
-    mala = samplers.MALA(), {"draws": 250, "thin": 10, "warmup": 600, "chains": 4}
-    default = samplers.AnnealedLangevin(), {"draws": 25, "chains": 40}
-    fine = samplers.AnnealedLangevin(levels=160, steps=24), {"draws": 25, "chains": 16}
-    arms = {
-        "MALA again: the floor": (exact, *mala),
-        "likelihood at a level: exact prior, 16 times the steps": (exact, *fine),
-        "and steps: exact prior, default": (exact, *default),
-        "network alone: its energy, MALA": (energy, *mala),
-        "all: its score, default": (score, *default),
-    }
-    lines, worst = [], {}
-    reference = [drawn(exact, y, camera, *mala, key=1) for y in ys]
-    for name, arm in arms.items():
-        found = [drawn(arm[0], y, camera, *arm[1:], key=2) for y in ys]
-        off, ratio = compared(found, reference)
-        worst[name] = off, ratio
-        lines.append(f"{off:8.3f} {ratio:8.3f}   {name}")
-    with capsys.disabled():
-        print("\n  mean off   sd ratio (posterior sd)")
-        print("\n".join(lines))
-    assert worst["MALA again: the floor"][0] < 0.05
-    for off, ratio in worst.values():
-        assert off < 0.2 and abs(ratio - 1) < 0.1
-
-
-def drawn(prior, y, camera, sampler, settings, key):
-    """Mean, variance, and squared Monte-Carlo error of the mean, of every pixel."""
-    # Dark or bright is sure: a chain that begins in the other mode would stay there.
-    post = denoising(prior, y, camera)
-    start = np.full(prior.shape, 0.2 if y.mean() < 0.5 else 0.8)
-    values = ps.sample(post, sampler, jax.random.key(key), start=start, progress=False, **settings)
-    values = values.values.reshape(*values.values.shape[:2], -1)
-    return values.mean((0, 1)), values.var((0, 1)), batch_error(values) ** 2
-
-
-def compared(found, reference):
-    """Distance of the means in posterior sd, less what is Monte Carlo, and ratio of the sd."""
-    means, variances, errors = (np.array(part) for part in zip(*found))
-    exact, spread, noise = (np.array(part) for part in zip(*reference))
-    squared = np.mean(((means - exact) ** 2 - errors - noise) / spread)
-    return float(np.sqrt(max(squared, 0.0))), float(np.sqrt(np.mean(variances) / np.mean(spread)))
