@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scipy.stats
 from analytic import wiener
-from networks import network_denoiser
 
 import posterior as ps
+from networks import network_denoiser
 from posterior import models
 from posterior.models import priors
 from posterior.models.priors import EnergyPrior, ScorePrior

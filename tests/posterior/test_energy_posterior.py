@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from networks import trained_on
 
 import posterior as ps
 from known import batch_error
+from networks import trained_on
 from posterior import models, samplers
 from posterior.models import priors
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from networks import network_denoiser
 
 import posterior as ps
+from networks import network_denoiser
 from posterior import models, samplers
 from posterior.models.priors import EnergyPrior, ScorePrior
 from posterior.models.priors.conservative import loop_check

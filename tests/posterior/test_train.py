@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from networks import fresh, relative_error, trained_on, two_levels
 from PIL import Image
 from typer.testing import CliRunner
 
+from networks import fresh, relative_error, trained_on, two_levels
 from posterior import train as training
 from posterior import training_report
 from posterior.cli import app
