@@ -66,14 +66,16 @@ KINDS = {
     "float64-complex": ("float64", complex),
 }
 
-# What `make test` runs of a sampler, the rest being left to the study: two kinds of the two that
-# users meet first, one of the others, none of one whose states have the shape of another's.
+# What `make test` runs of a sampler, the rest being left to the study: one kind, and none of one
+# whose states have the shape of another's.
 FAST = {
-    "annealed, polished": ("float64-real",),
+    "annealed": ("float32-complex",),
+    "annealed, polished": (),
     "annealed, split": (),
+    "mala": ("float64-real",),
     "ula": ("float32-complex",),
     "mala, line integral": (),
-    "nuts": ("float32-complex",),
+    "nuts": (),
     "blackjax mala": ("float64-real",),
     "smc": ("float32-complex",),
     "ensemble": ("float64-real",),
@@ -81,12 +83,12 @@ FAST = {
     "split gibbs": ("float64-real",),
     "dps": (),
     "kawar": ("float32-complex",),
-    "thickening": ("float32-real",),
+    "thickening": (),
 }
 
 
 def case(name, kind):
-    fast = kind in FAST.get(name, ("float32-complex", "float64-real"))
+    fast = kind in FAST[name]
     marks = [] if fast else [pytest.mark.slow]
     return pytest.param(*KINDS[kind], name, id=f"{name}-{kind}", marks=marks)
 

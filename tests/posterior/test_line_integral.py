@@ -32,6 +32,7 @@ def moves(post, sampler, steps=40):
     return jax.jit(lambda s: jax.lax.scan(one, s, keys)[1])(state)
 
 
+@pytest.mark.slow
 def test_an_energys_score_gives_the_moves_of_its_density(x64):
     post = denoising(EnergyPrior(network_denoiser(), (4, 4)))
     exact, acceptance = moves(post, samplers.MALA(3e-3, "none"))

@@ -137,6 +137,7 @@ def test_annealed_langevin_on_two_pixels(x64, sigma_0):
     assert published.min() > 1.3
 
 
+@pytest.mark.slow
 def test_tempered_smc_finds_both_twins(x64):
     ratios, mass_error = check_two_pixels(
         two_pixels(0.3), samplers.TemperedSMC(), chains=4, draws=2000

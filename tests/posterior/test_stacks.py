@@ -192,6 +192,7 @@ def measured():
     return stack.of(fitted), stack.of(~fitted)
 
 
+@pytest.mark.slow
 def test_the_microscope_is_found_again(measured):
     """To twice its errors over six recordings; 1.8 is far above their misfits, 1.50 to 1.59.
 
@@ -226,6 +227,7 @@ def rimmed(side, rim, places):
     return models.FourierPtychography((2 * side, 2 * side), centres, pupil, (rim, rim))
 
 
+@pytest.mark.slow
 def test_a_window_of_a_larger_specimen_needs_a_rim():
     """A stack cut from a field twice as wide: explained with a rim, not without.
 
@@ -260,7 +262,7 @@ def test_a_calibration_to_start_from_is_where_it_starts(measured):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("gain", [1, 4])
+@pytest.mark.parametrize("gain", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_dispersion_of_counts_of_whole_and_of_quadruple_electrons(gain):
     """An electron counted four times has four times the variance. To four sd of what is free."""
     light = exposed(NOMINAL, 2000.0)
