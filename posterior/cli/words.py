@@ -93,6 +93,12 @@ def doubts(
             "the stack has no more pixels than its object has unknowns: whether photon noise "
             "explains the images cannot be told"
         )
+    if "dispersion" in results and sampler == "annealed":
+        said.append(
+            "the slow phase of a stack is inherited from where the draws start: on a measured one, "
+            "draws of two halves of its LEDs lay some 3 times as far apart as they spread, and "
+            "more below 3 periods across the field; do not trust the sd of the phase"
+        )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")
     for name, value in results.items():

@@ -318,6 +318,16 @@ def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder,
     assert "convergence" not in said
 
 
+def test_a_stack_that_photons_do_not_explain_is_doubted():
+    found = {"rhat": 1.0, "ess": 400.0}
+    assert doubts(found | {"dispersion": 1.1}, "mala") == []
+    (said,) = doubts(found | {"dispersion": 7.1}, "mala")
+    assert "leaves 7.1 times its variance" in said
+    (said,) = doubts(found | {"dispersion": np.nan}, "mala")
+    assert "cannot be told" in said
+    assert "do not trust the sd of the phase" in doubts(found | {"dispersion": 1.1}, "annealed")[0]
+
+
 def test_a_prior_without_a_calibration_is_told_as_such():
     (said,) = doubts({"rhat": 1.0}, "mala", {}, np.zeros((4, 4)))
     assert "holds no calibration" in said
