@@ -17,7 +17,7 @@ from ..images import read_picture, split_key
 from ..models.camera import Poisson
 from ..presets import SAMPLERS, Question
 from ..problem import Posterior
-from ..samplers import Ensemble, Sampler
+from ..samplers import Sampler
 from ..sampling import sample
 from ..stacks import read_stack
 from .options import Options
@@ -50,8 +50,8 @@ def run(
         _refuse_changed_prior(earlier, question)
         posterior = question.problem.condition(question.y)
         sampler = SAMPLERS[options.sampler].build(posterior)
-        if isinstance(sampler, Ensemble):
-            sampler.size(posterior)
+        # Here too: the search for a start takes minutes.
+        sampler.check(keys[1], posterior)
         draws = _draw(options, question, posterior, sampler, keys, out / CHECKPOINT, quiet)
     except (ValueError, OSError):
         _leave_no_empty(out, created)

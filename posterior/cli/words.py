@@ -93,7 +93,7 @@ def doubts(
             "the stack has no more pixels than its object has unknowns: whether photon noise "
             "explains the images cannot be told"
         )
-    if "dispersion" in results and sampler == "annealed":
+    if "dispersion" in results and sampler == "annealed" and card is not None:
         said.append(
             "the slow phase of a stack is inherited from where the draws start: on a measured one, "
             "draws of two halves of its LEDs lay some 3 times as far apart as they spread, and "

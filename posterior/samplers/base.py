@@ -41,7 +41,7 @@ class Sampler(eqx.Module):
         """The object the state stands at."""
         return state.position
 
-    def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None) -> None:
+    def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None = None) -> None:
         """Refuse, before a run, a posterior or a start that this sampler would be wrong for."""
 
     def steps_per_draw(self) -> int:

@@ -58,6 +58,10 @@ class Ensemble(Sampler):
             )
         return self.walkers
 
+    def check(self, key: jax.Array, posterior: Posterior, start: jax.Array | None = None) -> None:
+        """Refuse what `size` refuses."""
+        self.size(posterior)
+
     def init(
         self, key: jax.Array, posterior: Posterior, position: jax.Array | None = None
     ) -> EnsembleState:
