@@ -185,30 +185,41 @@ def held_out_misfit(found, stack):
 
 @pytest.fixture(scope="module")
 def measured():
-    """Half of the LEDs, told apart as on a chess board, and the other half; brightness varies."""
     brightness = 3000 * np.random.default_rng(2).uniform(0.7, 1.3, 49)
-    stack = recorded(WRONG, brightness, leds=led_grid(7))
-    fitted = np.arange(49) % 2 == 0
-    return stack.of(fitted), stack.of(~fitted)
+    return recorded(WRONG, brightness, leds=led_grid(7))
 
 
 @pytest.mark.slow
 def test_the_microscope_is_found_again(measured):
-    """To twice its errors over six recordings; 1.8 is far above their misfits, 1.50 to 1.59.
+    """Each number to a tenth of the largest of its kind, or better; the errors met are a third.
 
-    The misfit is 1.34 with the true microscope too: the object is fitted, and others light it. A
-    shift of the LEDs is nearly a ramp of the object's phase, and found to a tenth of a sample.
+    A turn of the LEDs converges last: a third of it is left after the 5 rounds that are the default
+    (on the measured stack they are enough).
     """
-    fitted, held_out = measured
-    found = calibrate(fitted, UPSAMPLING, progress=False)
-    leds, aberration = found.calibration
-    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=2 * 0.1)
-    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=2 * 0.006)
-    np.testing.assert_allclose(aberration, WRONG.aberration, atol=2 * 0.006)
-    right = held_out_misfit(found, held_out)
-    wrong = held_out_misfit(with_nominal_microscope(fitted, UPSAMPLING), held_out)
-    print(f"misfit of the LEDs held out: {right:.3f}; with the nominal microscope {wrong:.3f}")
-    assert right < 1.8 < 5 < wrong
+    leds, aberration = calibrate(measured, UPSAMPLING, rounds=15, progress=False).calibration
+    np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=0.02)
+    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=0.0015)
+    np.testing.assert_allclose(aberration, WRONG.aberration, atol=0.006)
+
+
+@pytest.mark.slow
+def test_the_microscope_found_predicts_images_it_has_not_seen(measured):
+    """Half of the LEDs, told apart as on a chess board, light the images of the other half.
+
+    With the true microscope too they have more than the noise, for the object is fitted: 1.31 to
+    1.39 times in four recordings, and 1.50 to 1.59 with the one found (1.13 to 1.17 times as much).
+    """
+    half = np.arange(49) % 2 == 0
+    fitted, held_out = measured.of(half), measured.of(~half)
+    found = {
+        "found": calibrate(fitted, UPSAMPLING, progress=False),
+        "true": calibrate(fitted, UPSAMPLING, WRONG, progress=False),
+        "nominal": with_nominal_microscope(fitted, UPSAMPLING),
+    }
+    misfits = {name: held_out_misfit(each, held_out) for name, each in found.items()}
+    print("\nmisfit of the LEDs held out:", {k: round(float(v), 2) for k, v in misfits.items()})
+    assert misfits["found"] < 1.25 * misfits["true"]
+    assert misfits["nominal"] > 10 * misfits["true"]
 
 
 def smooth_disc(side, offsets):
@@ -256,21 +267,31 @@ def test_a_window_of_a_larger_specimen_needs_a_rim():
 
 
 def test_a_calibration_to_start_from_is_where_it_starts(measured):
-    fitted, _ = measured
-    found = calibrate(fitted, UPSAMPLING, WRONG, rounds=0, progress=False).calibration
+    found = calibrate(measured, UPSAMPLING, WRONG, rounds=0, progress=False).calibration
     for ours, theirs in zip(found, WRONG, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("gain", [pytest.param(1, marks=pytest.mark.slow), 4])
-def test_dispersion_of_counts_of_whole_and_of_quadruple_electrons(gain):
-    """An electron counted four times has four times the variance. To four sd of what is free."""
+def test_each_led_has_its_own_dispersion():
+    """An electron counted four times has four times the variance; every other LED does so.
+
+    A fit that takes up the share h of the degrees of freedom leaves an LED (1 - 2 h) of its own
+    variance and h of the mean one: between that and its own, by group, to four sd of what is free.
+    """
+    gains = np.where(np.arange(25) % 2, 4, 1)
     light = exposed(NOMINAL, 2000.0)
+    gain = gains[:, None, None]
     counts = gain * np.random.default_rng(0).poisson(light.intensity / gain).astype(float)
     found = calibrate(light._replace(intensity=counts), UPSAMPLING, rounds=2, progress=False)
-    free = counts.size - 2 * NOMINAL.optics(light, UPSAMPLING).frequencies()
     assert found.dispersion.shape == (25,)
-    assert np.mean(found.dispersion) == pytest.approx(gain, rel=4 * np.sqrt(2 / free))
+    np.testing.assert_array_equal(found.dispersion > 2, gains == 4)
+    h = 2 * NOMINAL.optics(light, UPSAMPLING).frequencies() / counts.size
+    for own in (1, 4):
+        some = gains == own
+        error = 1 + 4 * np.sqrt(2 / ((1 - h) * some.sum() * LOW**2))
+        shared = ((1 - 2 * h) * own + h * gains.mean()) / (1 - h)
+        low, high = sorted([own, shared])
+        assert low / error < found.dispersion[some].mean() < high * error
 
 
 def test_a_dispersed_stack_keeps_its_mean():
@@ -289,9 +310,8 @@ def test_a_dispersed_stack_keeps_its_mean():
 
 
 def test_intensities_that_are_no_electrons_are_refused(measured):
-    fitted, _ = measured
     with pytest.raises(ValueError, match="use in_electrons first"):
-        calibrate(fitted._replace(intensity=fitted.intensity / 3), UPSAMPLING)
+        calibrate(measured._replace(intensity=measured.intensity / 3), UPSAMPLING)
 
 
 def test_optics_of_a_calibration_have_their_pupils_where_the_leds_are():
