@@ -80,8 +80,8 @@ class Question(NamedTuple):
     """A problem and its recording `y`; `truth` is the object, where it is known.
 
     `irradiance` is None for denoising and measured stacks; `prior` names the pictures that the
-    prior was fitted to, each with the SHA-256 of what was fitted. Of a measured stack `estimate` is
-    an object of high likelihood, and `microscope` what the images told of theirs.
+    prior was fitted to, each with the SHA-256 of what was fitted; `microscope` is what the images
+    of a measured stack told of theirs, None otherwise.
     """
 
     problem: Problem
@@ -89,7 +89,6 @@ class Question(NamedTuple):
     truth: np.ndarray | None
     irradiance: float | None
     prior: dict[str, str]
-    estimate: np.ndarray | None = None
     microscope: dict[str, Any] | None = None
 
 
@@ -192,7 +191,7 @@ def measured(
         "leds": found.calibration.leds.tolist(),
         "aberration": found.calibration.aberration.tolist(),
     }
-    return Question(Problem(likelihood, known), y, None, None, names, o, microscope)
+    return Question(Problem(likelihood, known), y, None, None, names, microscope)
 
 
 def prior_scale(o: np.ndarray, prior: GaussianField | LearnedPrior) -> float:
@@ -581,21 +580,21 @@ def start_of(
     key: jax.Array,
     chains: int,
     progress: bool = False,
-    estimate: np.ndarray | None = None,
+    measured: bool = False,
 ) -> np.ndarray | None:
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
     starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
     several, which start from hybrid input-output. Under a learned prior ptychography starts from
-    quasi-Newton, or from the `estimate` of a `Question`. "split" cannot travel at all.
+    quasi-Newton, a `measured` stack from halves of itself. "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
     if isinstance(posterior.likelihood, LinearLikelihood):
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
-            return from_quasi_newton(posterior, chains, estimate)
+            return from_quasi_newton(posterior, key, chains, measured, progress)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None

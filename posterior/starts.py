@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .estimators import default_start, hio, maximum_likelihood
+from .estimators import half_samples, hio, maximum_likelihood
 from .models.optics import CONJUGATE_FLIP, Fourier, FourierPtychography, Optics
 from .models.priors.learned import LearnedPrior, ScorePrior
 from .problem import Posterior
@@ -71,19 +71,23 @@ def from_magnitudes(
 
 
 def from_quasi_newton(
-    posterior: Posterior, chains: int, estimate: np.ndarray | None = None
+    posterior: Posterior, key: jax.Array, chains: int, measured: bool, progress: bool = False
 ) -> np.ndarray | None:
-    """Starts (chains, *shape) for a learned prior, all the same; None unless it is ptychography.
+    """Starts (chains, *shape) for a learned prior; None unless it is ptychography.
 
-    The quasi-Newton solution, or the `estimate` if one is known, with the prior's global phase.
+    The object of highest likelihood, with the prior's global phase. The slowest phases of an object
+    hardly move while a chain is annealed; where the model is right the noise of the first level
+    is as wide as they are uncertain. Of a `measured` stack it is not, so that each chain starts
+    from a random half of the images (`half_samples`).
     """
     likelihood, y = posterior.likelihood, posterior.y
     if not isinstance(likelihood.optics, FourierPtychography):
         return None
-    if estimate is None:
-        found = maximum_likelihood(likelihood, y, default_start(likelihood, y))
-        estimate = np.asarray(found.object)
-    return np.stack([_turned(estimate, posterior.prior)] * chains)
+    if measured:
+        found = half_samples(likelihood, y, key, chains, progress=progress)
+    else:
+        found = [np.asarray(maximum_likelihood(likelihood, y).object)] * chains
+    return np.stack([_turned(o, posterior.prior) for o in found])
 
 
 def _turned(o: np.ndarray, prior: LearnedPrior) -> np.ndarray:

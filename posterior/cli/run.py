@@ -156,8 +156,9 @@ def _draw(
     quiet: bool,
 ) -> Draws:
     """`keys`: of the start, and of the draws."""
+    measured = question.microscope is not None
     start = presets.start_of(
-        options.sampler, posterior, keys[0], options.chains, not quiet, question.estimate
+        options.sampler, posterior, keys[0], options.chains, not quiet, measured
     )
     return sample(
         posterior,

@@ -95,9 +95,9 @@ def doubts(
         )
     if "dispersion" in results and sampler == "annealed" and card is not None:
         said.append(
-            "the slow phase of a stack is inherited from where the draws start: on a measured one, "
-            "draws of two halves of its LEDs lay some 3 times as far apart as they spread, and "
-            "more below 3 periods across the field; do not trust the sd of the phase"
+            "the slow phase of a stack is as uncertain as halves of its images disagree: on a "
+            "measured one, draws of two halves of its LEDs lay 1.4 times as far apart as they "
+            "spread; its sd is too small by that, or more"
         )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")

@@ -2,6 +2,7 @@
 
 from .anscombe import anscombe, anscombe_denoised, exact_unbiased_inverse
 from .calibration import Calibrated, Calibration, calibrate
+from .half_samples import half_samples
 from .hio import Retrieved, hio
 from .mmse import mmse
 from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior

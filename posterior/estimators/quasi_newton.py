@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from ..models.likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
 from ..models.optics import FourierPtychography
-from ..models.realview import from_real, to_real
+from ..models.realview import from_real, real_score, to_real
 from ..problem import Posterior
 
 with warnings.catch_warnings():
@@ -43,6 +43,7 @@ def maximum_likelihood(
     y: ArrayLike,
     start: ArrayLike | None = None,
     *,
+    weights: ArrayLike | None = None,
     iterations: int = 200,
     tolerance: float = 1e-5,
     history: int = 10,
@@ -52,6 +53,7 @@ def maximum_likelihood(
     - `y`: of `likelihood.data_shape`, normalised.
     - `start`: an object, real or complex: what is found is of its kind, and lies in its valley.
       None: `default_start`.
+    - `weights`: how often each measurement counts, broadcast to `y`, from 0; None: once.
     - `iterations`: at most; it ends earlier where the gradient falls below `tolerance` times that
       at the start, or where rounding leaves no higher step to be found.
     - `history`: steps that the approximate curvature is built from.
@@ -61,7 +63,7 @@ def maximum_likelihood(
     """
     y = _recording(likelihood, y)
     start = default_start(likelihood, y) if start is None else start
-    target = _Data(likelihood, jnp.asarray(y))
+    target = _Data(likelihood, y, None if weights is None else _weights(weights, y))
     return _climb(target, likelihood, y, start, iterations, tolerance, history)
 
 
@@ -110,9 +112,17 @@ class _Data(eqx.Module):
 
     likelihood: Likelihood
     y: jax.Array
+    weights: jax.Array | None
 
     def log_prob_and_score(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return self.likelihood.log_prob_and_score(x, self.y)
+        if self.weights is None:
+            return self.likelihood.log_prob_and_score(x, self.y)
+        value, gradient = jax.value_and_grad(self._weighted)(x)
+        return value, real_score(gradient)
+
+    def _weighted(self, x: jax.Array) -> jax.Array:
+        likelihood = self.likelihood
+        return jnp.sum(self.weights * likelihood.camera.log_prob(self.y, likelihood.expected(x)))
 
 
 def _climb(
@@ -212,6 +222,22 @@ def _recording(likelihood: Likelihood, y: ArrayLike) -> jax.Array:
         raise ValueError(f"data of shape {y.shape}: these optics record {likelihood.data_shape}")
     likelihood.camera.check(y)
     return jnp.asarray(y, jax.dtypes.canonicalize_dtype(complex if np.iscomplexobj(y) else float))
+
+
+def _weights(weights: ArrayLike, y: jax.Array) -> jax.Array:
+    weights = np.asarray(weights, float)
+    if not (np.all(np.isfinite(weights)) and np.all(weights >= 0) and np.any(weights > 0)):
+        raise ValueError(
+            f"weights from {weights.min():.3g} to {weights.max():.3g}: give finite ones, from 0, "
+            "not all 0"
+        )
+    try:
+        return jnp.broadcast_to(jnp.asarray(weights, y.real.dtype), y.shape)
+    except ValueError as error:
+        raise ValueError(
+            f"weights of shape {weights.shape} for data of shape {y.shape}: give one for each "
+            "measurement, or what broadcasts to them"
+        ) from error
 
 
 def _checked_start(start: ArrayLike, shape: tuple[int, ...]) -> jax.Array:

@@ -57,14 +57,14 @@ def found(halves):
 def drawn(found, stack, dispersion, upsampling, key):
     """Draws from a stack whose electrons are as few as the dispersion says; and their misfit.
 
-    They start from the quasi-Newton solution of these images alone.
+    They start from halves of these images.
     """
     prior = models.ScorePrior.load("complex-cells", found.object.shape)
     o = found.object * presets.prior_scale(found.object, prior)
     fewer = dispersed(stack, dispersion, jax.random.key(9))
     likelihood, y = found.calibration.likelihood(fewer, upsampling, o)
     posterior = ps.Problem(likelihood, prior).condition(y)
-    start = presets.start_of("annealed", posterior, key, CHAINS)
+    start = presets.start_of("annealed", posterior, key, CHAINS, measured=True)
     settings = {"chains": CHAINS, "draws": 1, "start": start, "progress": False}
     draws = ps.sample(posterior, presets.learned_annealing(posterior), key, **settings)
     draws = align(draws.values[:, 0], draws.values[0, 0], ["global_phase"])
@@ -84,7 +84,8 @@ def test_a_calibrated_microscope_predicts_images_it_has_not_seen(halves, found):
     print("dispersion, median: bright {:.1f}, dark {:.1f}".format(*parts))
     print(f"misfit of draws that know of it: {own:.2f}")
     assert mean[2] < 1.1 * right[2]
-    assert abs(own - 1) < 0.1
+    # Halves of the images differ by more than the white noise that the dispersion stands for.
+    assert 0.9 < own < 1.3
 
 
 def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
@@ -111,7 +112,9 @@ def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
     radius = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in one.shape[1:])))
     for low, high in BANDS:
         band = (low <= radius) & (radius < high)
-        print(f"  {low} to {high}: {spread_over_difference(*(s[:, band] for s in spectra)):.2f}")
+        ratio = spread_over_difference(*(s[:, band] for s in spectra))
+        print(f"  {low} to {high}: {ratio:.2f}")
+        assert ratio > 0.6
     assert amplitude > 0.8
 
 

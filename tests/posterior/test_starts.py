@@ -11,8 +11,9 @@ from skimage.transform import resize
 
 from posterior import presets, starts
 from posterior.diagnostics import align
-from posterior.models import Poisson
+from posterior.models import FourierPtychography, IntensityLikelihood, Poisson
 from posterior.models.priors import ScorePrior
+from posterior.problem import Problem
 from posterior.samplers import AnnealedLangevin
 
 SCOUT = {"levels": 60, "steps": 3}
@@ -80,3 +81,20 @@ def test_a_start_has_the_global_phase_of_the_prior():
     turned = starts._turned((o * np.exp(1.2j)).astype(np.complex64), prior)
     np.testing.assert_allclose(np.abs(turned), np.abs(o), rtol=1e-5)
     assert abs(np.angle(turned.mean()) - np.pi / 4) < 1e-3
+
+
+def test_chains_of_a_measured_stack_start_from_halves_of_it_and_others_from_one_place():
+    prior = ScorePrior(wiener("score", True, dtype="float32"), (16, 16))
+    centres, radius = presets.aperture_grid(16)
+    optics = FourierPtychography.from_radius((16, 16), centres, radius, 2)
+    likelihood = IntensityLikelihood(optics, Poisson(1000), 0.5)
+    o = presets.complex_object(resize(data.camera() / 255, (16, 16), anti_aliasing=True))
+    problem = Problem(likelihood, prior)
+    posterior = problem.condition(likelihood.simulate(jax.random.key(0), o))
+    same, apart = (
+        presets.start_of("annealed", posterior, jax.random.key(1), 2, measured=measured)
+        for measured in (False, True)
+    )
+    np.testing.assert_array_equal(same[0], same[1])
+    between = np.linalg.norm(apart[0] - apart[1]) / np.linalg.norm(same[0])
+    assert 0.001 < between < 0.5

@@ -55,6 +55,15 @@ def test_the_maximum_of_a_linear_gaussian_likelihood_is_least_squares(x64, dtype
     np.testing.assert_allclose(found.object, exact, atol=1e-8)
 
 
+def test_weights_count_measurements_as_often(x64):
+    posterior, _, _ = linear_gaussian(4, 7, float)
+    matrix = posterior.likelihood.optics.matrix
+    weights = np.array([1, 2, 0, 3, 1, 1, 2])
+    found = maximum_likelihood(posterior.likelihood, posterior.y, weights=weights, tolerance=1e-12)
+    exact = np.linalg.lstsq(np.repeat(matrix, weights, 0), np.repeat(posterior.y, weights))[0]
+    np.testing.assert_allclose(found.object, exact, atol=1e-8)
+
+
 def test_the_most_probable_light_is_what_was_counted(x64):
     likelihood = models.LinearLikelihood(models.Identity((6,)), models.Poisson(1000))
     y = np.array([0.004, 0.02, 0.1, 0.3, 0.5, 0.9])
@@ -177,6 +186,9 @@ def test_bad_input_is_refused():
     refused("iterations 0", likelihood, y, iterations=0)
     refused("history 1.5", likelihood, y, history=1.5)
     refused("tolerance 1", likelihood, y, tolerance=1)
+    refused("weights from -1 to -1", likelihood, y, weights=-1)
+    refused("weights from 0 to 0", likelihood, y, weights=0)
+    refused(r"weights of shape \(2,\)", likelihood, y, weights=np.ones(2))
     refused("likelihood is a int", 3, y)
 
 
