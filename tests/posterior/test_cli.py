@@ -41,7 +41,7 @@ def _quick_to_compile():
 @pytest.fixture
 def few_levels(monkeypatch):
     """Anneal in a hurry: these runs are about files, not about draws."""
-    monkeypatch.setattr(presets, "_ANNEALED", {"levels": 5, "steps": 1})
+    monkeypatch.setattr(presets.samplers, "_ANNEALED", {"levels": 5, "steps": 1})
 
 
 def _smooth(size):
@@ -243,7 +243,9 @@ def test_irradiance_is_found_from_the_recording(name):
     likelihood, prior = known.problem.likelihood, known.problem.prior
     keys = jax.random.split(jax.random.key(1), 16)
     recordings = jax.jit(jax.vmap(lambda k: likelihood.expected(prior.sample(k))))(keys)
-    ratios = [presets._irradiance_of(y, likelihood.optics, prior) for y in np.asarray(recordings)]
+    ratios = [
+        presets.exposure.irradiance_of(y, likelihood.optics, prior) for y in np.asarray(recordings)
+    ]
     ratios = np.array(ratios) / known.irradiance
     error = np.std(ratios) / np.sqrt(len(ratios))
     # For ptychography the expectation is itself a mean over 64 draws of the prior.
@@ -523,8 +525,8 @@ def stack(tmp_path_factory):
 
 def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
     """Drawn, said, and drawn again; calibrated in a hurry."""
-    hurried = functools.partial(presets.calibrate, rounds=1, iterations=10)
-    monkeypatch.setattr(presets, "calibrate", hurried)
+    hurried = functools.partial(presets.questions.calibrate, rounds=1, iterations=10)
+    monkeypatch.setattr(presets.questions, "calibrate", hurried)
     arguments = ("--prior", folder / "specimen.npy", "--electrons", 1, *SMALL)
     out = tmp_path / "run"
     assert _main("sample", "ptychography", "--stack", stack, "--out", out, *arguments) == 0

@@ -50,9 +50,13 @@ def test_error_budget_of_annealed_langevin_on_photon_counts():
         draws = [drawn(prior, likelihood, y, *how, key=2) for y in recordings]
         found[name] = compared(draws, reference)
         print("  {:8.3f} {:8.3f}".format(*found[name]), name, flush=True)
-    assert found["MALA again: the floor"][0] < 0.05
+    # An energy is sampled at the network's finest level, where its score is worst: it costs more
+    # than all approximations of annealing, which takes the data's side there.
+    at_finest = found.pop("network alone: its energy, MALA")
+    assert at_finest[0] < 0.4 and abs(at_finest[1] - 1) < 0.25
     for off, ratio in found.values():
-        assert off < 0.2 and abs(ratio - 1) < 0.1
+        assert off < 0.1 and abs(ratio - 1) < 0.05
+    assert at_finest[0] > found["all: its score, annealed"][0]
 
 
 def drawn(prior, likelihood, y, sampler, settings, key):

@@ -21,7 +21,7 @@ SCOUT = {"levels": 60, "steps": 3}
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch):
-    monkeypatch.setattr(presets, "_ANNEALED", SCOUT)
+    monkeypatch.setattr(presets.samplers, "_ANNEALED", SCOUT)
 
 
 def annealed_alone(posterior, key, chains):
