@@ -16,6 +16,7 @@ def complex_object(grey: np.ndarray) -> np.ndarray:
 
 
 def object_of(name: str, picture: np.ndarray, size: int | None) -> np.ndarray:
+    """The object, real or complex, that a picture shows to an application."""
     if size is not None and size < LEAST_SIDE:
         raise ValueError(f"size {size}: give {LEAST_SIDE} or more")
     if not np.iscomplexobj(picture):

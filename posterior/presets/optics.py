@@ -30,10 +30,12 @@ def aperture_grid(size: int) -> tuple[np.ndarray, float]:
 
 
 def upsampling_of(size: int) -> int:
+    """Object pixels for one of the camera, along an axis, in simulated ptychography."""
     return 4 if size >= 64 else 2
 
 
 def optics_of(name: str, shape: tuple[int, int], oversampling: int | None) -> Optics:
+    """The optics of an application for an object of `shape`."""
     if oversampling is not None and name != PHASE_RETRIEVAL:
         raise ValueError(f"oversampling {oversampling} is for {PHASE_RETRIEVAL}: leave it out")
     if name == DENOISING:

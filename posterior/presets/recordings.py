@@ -10,6 +10,7 @@ from .optics import GRID, upsampling_of
 
 
 def normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
+    """Electrons / full well: floats are taken for it, integers for codes of the ADC."""
     if data.dtype == bool:
         data = data.astype(np.uint8)
     if not np.issubdtype(data.dtype, np.integer):
@@ -22,6 +23,7 @@ def normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
 def object_shape(
     name: str, y: np.ndarray, size: int | None, oversampling: int | None
 ) -> tuple[int, int]:
+    """Shape of the object behind a recording; raises ValueError for one that has none."""
     if name == PTYCHOGRAPHY:
         return _shape_from_stack(y, size)
     if size is not None:
