@@ -29,8 +29,8 @@ class Checkpoint:
         if manifest.exists():
             if json.loads(manifest.read_text())["fingerprint"] != fingerprint:
                 raise ValueError(
-                    f"checkpoint {self.path} is of another run (data, sampler, key or settings "
-                    "differ): give another folder, or delete this one"
+                    f"checkpoint {self.path} is of another run (data, sampler, start, key or "
+                    "settings differ): give another folder, or delete this one"
                 )
         elif self.path.exists() and any(self.path.iterdir()):
             raise ValueError(f"checkpoint {self.path} is a folder of other things: give a new one")

@@ -70,8 +70,12 @@ def from_magnitudes(
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
 
 
-def from_quasi_newton(
-    posterior: Posterior, key: jax.Array, chains: int, measured: bool, progress: bool = False
+def for_ptychography(
+    posterior: Posterior,
+    key: jax.Array,
+    chains: int,
+    progress: bool = False,
+    measured: bool = False,
 ) -> np.ndarray | None:
     """Starts (chains, *shape) for a learned prior; None unless it is ptychography.
 

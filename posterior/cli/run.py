@@ -158,7 +158,7 @@ def _draw(
     """`keys`: of the start, and of the draws."""
     measured = question.microscope is not None
     start = presets.start_of(
-        options.sampler, posterior, keys[0], options.chains, not quiet, measured
+        options.sampler, posterior, keys[0], options.chains, progress=not quiet, measured=measured
     )
     return sample(
         posterior,

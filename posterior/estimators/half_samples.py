@@ -27,11 +27,12 @@ def half_samples(
 
     Halves are of the first axis: an image of a stack is taken or left as a whole, for what a model
     gets wrong in it is not independent from pixel to pixel. Quasi-Newton climbs from
-    `default_start` each time, so that what a half does not tell is not inherited from the whole.
-    Raises ValueError as `maximum_likelihood` does, and for a `y` that has no halves.
+    `default_start` each time: what a half leaves free stays there, and does not scatter. Raises
+    ValueError as `maximum_likelihood` does, and for a `y` that has no halves.
 
-    Approximation: exact for estimates that are linear in the data; where hardly enough of them are
-    left the scatter is larger than that of the estimate from all.
+    Approximation: exact for the mean of an even number of data. Of n data for p unknowns least
+    squares scatter by about (n/2) / (n/2 - p) more, in variance, and other estimates by as much as
+    they depend on n. What was fitted to all of the data, such as a calibration, does not scatter.
     """
     if np.ndim(y) == 0 or len(y) < 2:
         raise ValueError(f"data of shape {np.shape(y)} have no halves: give 2 or more along axis 0")

@@ -94,7 +94,8 @@ def measured(
     unit of intensity, and the microscope is calibrated on them (`estimators.calibrate`), some
     minutes for hundreds of LEDs. What photon noise leaves unexplained then, is taken for more of it
     (`stacks.dispersed`, with `key`). The object has as many pixels as the band of the LEDs needs, a
-    rim around the field of view, and the prior's mean energy. `prior` and `needs` are as for
+    rim around the field of view, and the prior's mean energy. Chains under a learned prior are to
+    start from `start_of(..., measured=True)`. `prior` and `needs` are as for
     `simulate`. Raises ValueError on what does not fit.
 
     Approximation: what is unexplained is independent from pixel to pixel, as photons are.

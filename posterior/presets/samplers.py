@@ -27,7 +27,7 @@ from ..samplers import (
     TemperedSMC,
     Thickening,
 )
-from ..starts import annealed, from_magnitudes, from_quasi_newton, has_magnitudes
+from ..starts import annealed, for_ptychography, from_magnitudes, has_magnitudes
 
 
 class Sampling(NamedTuple):
@@ -106,6 +106,7 @@ def start_of(
     posterior: Posterior,
     key: jax.Array,
     chains: int,
+    *,
     progress: bool = False,
     measured: bool = False,
 ) -> np.ndarray | None:
@@ -121,7 +122,7 @@ def start_of(
         return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
-            return from_quasi_newton(posterior, key, chains, measured, progress)
+            return for_ptychography(posterior, key, chains, progress, measured)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None

@@ -327,7 +327,7 @@ def test_a_stack_that_photons_do_not_explain_is_doubted():
     assert "leaves 7.1 times its variance" in said
     (said,) = doubts(found | {"dispersion": np.nan}, "mala")
     assert "cannot be told" in said
-    # A fitted prior's annealing starts from nowhere, a learnt one's from halves of the stack.
+    # Measured under a learnt prior alone, whose chains start from halves of the stack.
     phase = "the slow phase of a stack"
     assert phase not in " ".join(doubts(found | {"dispersion": 1.1}, "annealed"))
     assert phase in " ".join(doubts(found | {"dispersion": 1.1}, "annealed", {}))

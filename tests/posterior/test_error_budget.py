@@ -1,6 +1,6 @@
 """Where the error of an annealed draw comes from: steps, likelihood, network; one at a time.
 
-A study. Two networks are trained on draws of a mixture of Gaussians, a minute each.
+A study. Two networks are trained on draws of a mixture of Gaussians, half a minute each.
 """
 
 import jax
@@ -13,7 +13,7 @@ from networks import trained_on, two_levels
 from posterior import models, samplers
 
 pytestmark = pytest.mark.slow
-TRUTHS, FULL_WELL = 8, 20
+TRUTHS, FULL_WELL = 8, 200  # data and prior tell about as much
 FINEST = 0.005  # of the networks; the annealing ends at twice that, in a descent
 
 
@@ -40,8 +40,9 @@ def test_error_budget_of_annealed_langevin_on_photon_counts():
         "MALA again: the floor": (exact, *mala),
         "likelihood at a level: exact prior, 16 times the steps": (exact, *fine),
         "and steps: exact prior, as with a network": (exact, *usual),
-        "network alone: its energy, MALA": (energy, *mala),
-        "all: its score, annealed": (score, *usual),
+        "all: the score of a network": (score, *usual),
+        "all: the energy of another": (energy, *usual),
+        "network alone: this energy, MALA": (energy, *mala),
     }
     reference = [drawn(exact, likelihood, y, *mala, key=1) for y in recordings]
     print("\n  mean off, sd ratio (in posterior sd)")
@@ -50,13 +51,9 @@ def test_error_budget_of_annealed_langevin_on_photon_counts():
         draws = [drawn(prior, likelihood, y, *how, key=2) for y in recordings]
         found[name] = compared(draws, reference)
         print("  {:8.3f} {:8.3f}".format(*found[name]), name, flush=True)
-    # An energy is sampled at the network's finest level, where its score is worst: it costs more
-    # than all approximations of annealing, which takes the data's side there.
-    at_finest = found.pop("network alone: its energy, MALA")
-    assert at_finest[0] < 0.4 and abs(at_finest[1] - 1) < 0.25
-    for off, ratio in found.values():
-        assert off < 0.1 and abs(ratio - 1) < 0.05
-    assert at_finest[0] > found["all: its score, annealed"][0]
+    parts = list(found.values())
+    assert all(off < 0.05 and abs(ratio - 1) < 0.03 for off, ratio in parts[:3])
+    assert all(off < 0.3 and abs(ratio - 1) < 0.2 for off, ratio in parts[3:])
 
 
 def drawn(prior, likelihood, y, sampler, settings, key):

@@ -66,7 +66,7 @@ def swirling(nats):
 
 
 def test_the_integral_round_a_loop_is_the_turn_times_twice_its_area(x64):
-    """Of 20000 triangles, whose squares have the kurtosis 6: to four sd, 3 %."""
+    """Of 20000 triangles, whose integrals have the kurtosis 6: to four sd, 3 %."""
     found = loop_check(swirling(0.3), jax.random.key(4), Swirl.finest, loops=20_000)
     assert found.loop == pytest.approx(0.3, rel=4 * np.sqrt(5 / 20_000) / 2)
 

@@ -114,7 +114,7 @@ def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
         band = (low <= radius) & (radius < high)
         ratio = spread_over_difference(*(s[:, band] for s in spectra))
         print(f"  {low} to {high}: {ratio:.2f}")
-        assert ratio > 0.6
+        assert ratio > 0.6  # 0.71 at the least: it is not right, and must not become worse
     assert amplitude > 0.8
 
 
