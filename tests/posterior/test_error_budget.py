@@ -34,12 +34,15 @@ def test_error_budget_of_annealed_langevin_on_photon_counts():
 
     ending = {"sigma_min": 2 * FINEST, "descent": 6}
     mala = samplers.MALA(), {"draws": 250, "thin": 10, "warmup": 600, "chains": 4}
-    usual = samplers.AnnealedLangevin(levels=45, steps=4, **ending), {"draws": 5, "chains": 100}
-    fine = samplers.AnnealedLangevin(levels=180, steps=16, **ending), {"draws": 5, "chains": 100}
+    many, few = {"levels": 180, "steps": 16}, {"draws": 5, "chains": 100}
+    fine = samplers.AnnealedLangevin(**many, sigma_min=FINEST / 5), few
+    ended = samplers.AnnealedLangevin(**many, **ending), few
+    usual = samplers.AnnealedLangevin(levels=45, steps=4, **ending), few
     arms = {
         "MALA again: the floor": (exact, *mala),
         "likelihood at a level: exact prior, 16 times the steps": (exact, *fine),
-        "and steps: exact prior, as with a network": (exact, *usual),
+        "and the ending at a network's finest level": (exact, *ended),
+        "and steps: as with a network": (exact, *usual),
         "all: the score of a network": (score, *usual),
         "all: the energy of another": (energy, *usual),
         "network alone: this energy, MALA": (energy, *mala),
@@ -51,9 +54,10 @@ def test_error_budget_of_annealed_langevin_on_photon_counts():
         draws = [drawn(prior, likelihood, y, *how, key=2) for y in recordings]
         found[name] = compared(draws, reference)
         print("  {:8.3f} {:8.3f}".format(*found[name]), name, flush=True)
-    parts = list(found.values())
-    assert all(off < 0.05 and abs(ratio - 1) < 0.03 for off, ratio in parts[:3])
-    assert all(off < 0.3 and abs(ratio - 1) < 0.2 for off, ratio in parts[3:])
+    *annealed, network = list(found.values())[1:]
+    assert all(off < 0.2 and abs(ratio - 1) < 0.1 for off, ratio in annealed)
+    assert network[0] < 0.3 and abs(network[1] - 1) < 0.15
+    assert found["MALA again: the floor"][0] < 0.02
 
 
 def drawn(prior, likelihood, y, sampler, settings, key):
