@@ -166,6 +166,7 @@ def test_emcee_draws_a_unimodal_phase_posterior(x64):
         assert abs(batches.mean() - exact) < 4 * error
 
 
+@pytest.mark.slow
 def test_emcee_does_not_cross_between_modes(x64):
     """A documented limit: the mode masses stay those of the walkers' start."""
     post = one_pixel(0.1)

@@ -192,6 +192,7 @@ def test_bad_input_is_one_sentence(build, sentence):
         build()
 
 
+@pytest.mark.slow
 def test_nuts_is_tuned_by_its_warmup():
     """Scales from 0.01 to 5: with the step and metric it starts from it would not move."""
     scale = np.geomspace(0.01, 10, 6)

@@ -83,6 +83,7 @@ def test_a_start_has_the_global_phase_of_the_prior():
     assert abs(np.angle(turned.mean()) - np.pi / 4) < 1e-3
 
 
+@pytest.mark.slow
 def test_chains_of_a_measured_stack_start_from_halves_of_it_and_others_from_one_place():
     prior = ScorePrior(wiener("score", True, dtype="float32"), (16, 16))
     centres, radius = presets.aperture_grid(16)

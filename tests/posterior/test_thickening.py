@@ -75,7 +75,7 @@ def test_a_posterior_of_other_counts_fails(x64):
     "camera, y",
     [
         (models.Poisson(50), 1.0),
-        (models.Poisson(100, bits=4), 0.2),
+        pytest.param(models.Poisson(100, bits=4), 0.2, marks=pytest.mark.slow),
         (models.Poisson(100, bits=4), 1.0),
     ],
     ids=["saturated", "four bits", "four bits, saturated"],

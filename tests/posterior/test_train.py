@@ -123,6 +123,7 @@ def test_levels_are_within_the_trained_ones_and_reach_both_ends():
         assert high / 2 < levels.max() <= high * 1.001
 
 
+@pytest.mark.slow
 def test_short_training_comes_nearer_to_the_analytic_score():
     """A fresh network is the best linear denoiser; what lies beyond it has to be learnt."""
     exact = two_levels()

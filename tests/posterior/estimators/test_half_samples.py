@@ -7,14 +7,14 @@ import pytest
 from posterior import models
 from posterior.estimators import half_samples, maximum_likelihood
 
-ROWS, UNKNOWNS, COUNT, BELIEVED = 400, 3, 300, 0.1
+ROWS, UNKNOWNS, COUNT, BELIEVED = 400, 3, 150, 0.1
 
 
 def likelihood_of(matrix):
     return models.LinearLikelihood(models.Matrix(matrix), models.Gaussian(BELIEVED))
 
 
-@pytest.mark.parametrize("noise", [BELIEVED, 3 * BELIEVED])
+@pytest.mark.parametrize("noise", [pytest.param(BELIEVED, marks=pytest.mark.slow), 3 * BELIEVED])
 def test_answers_scatter_as_the_estimate_does_whatever_noise_was_believed(x64, noise):
     """In units of the true covariance of least squares, on average over its axes.
 
