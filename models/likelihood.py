@@ -53,17 +53,22 @@ class Likelihood(eqx.Module):
         """One recording of the object `x`."""
         return self.camera.sample(key, self.expected(x))
 
-    def log_prob(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Exact log-probability of the recording `y`: a real scalar."""
-        return jnp.sum(self.camera.log_prob(y, self.expected(x)))
+    def log_prob(self, x: jax.Array, y: jax.Array, weights: jax.Array | float = 1.0) -> jax.Array:
+        """Exact log-probability of the recording `y`: a real scalar.
+
+        `weights`: how often each measurement counts, broadcast to `y`.
+        """
+        return jnp.sum(weights * self.camera.log_prob(y, self.expected(x)))
 
     def score(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Gradient of `log_prob` in the real view of `x`: d/dRe + j d/dIm."""
         return real_score(jax.grad(self.log_prob)(x, y))
 
-    def log_prob_and_score(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def log_prob_and_score(
+        self, x: jax.Array, y: jax.Array, weights: jax.Array | float = 1.0
+    ) -> tuple[jax.Array, jax.Array]:
         """Both for the price of the score."""
-        value, gradient = jax.value_and_grad(self.log_prob)(x, y)
+        value, gradient = jax.value_and_grad(self.log_prob)(x, y, weights)
         return value, real_score(gradient)
 
     @abc.abstractmethod

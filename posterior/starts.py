@@ -88,20 +88,20 @@ def for_ptychography(
     if not isinstance(likelihood.optics, FourierPtychography):
         return None
     if measured:
-        found = half_samples(likelihood, y, key, chains, progress=progress)
-    else:
-        found = [np.asarray(maximum_likelihood(likelihood, y).object)] * chains
-    return np.stack([_turned(o, posterior.prior) for o in found])
+        return _turned(half_samples(likelihood, y, key, chains, progress=progress), posterior.prior)
+    found = np.asarray(maximum_likelihood(likelihood, y).object)
+    return np.repeat(_turned(found[None], posterior.prior), chains, axis=0)
 
 
-def _turned(o: np.ndarray, prior: LearnedPrior) -> np.ndarray:
-    """`o` by the global phase that brings it nearest to the prior's mean picture.
+def _turned(objects: np.ndarray, prior: LearnedPrior) -> np.ndarray:
+    """Each (n, *shape) by the global phase that brings it nearest to the prior's mean picture.
 
     That is what the network makes of a picture at the broadest level, where nothing is left of it.
     """
-    broadest = jnp.asarray(prior.statistics.sigma_max, o.real.dtype)
-    mean = np.asarray(prior.denoise(jnp.zeros_like(o), broadest))
-    return (o * np.exp(1j * np.angle(np.vdot(o, mean)))).astype(o.dtype)
+    broadest = jnp.asarray(prior.statistics.sigma_max, objects.real.dtype)
+    mean = np.asarray(prior.denoise(jnp.zeros_like(objects[0]), broadest))
+    turns = np.exp(1j * np.angle([np.vdot(o, mean) for o in objects]))
+    return (objects * turns.reshape(-1, *(1,) * mean.ndim)).astype(objects.dtype)
 
 
 def _solutions(posterior: Posterior, key: jax.Array, keep: int) -> np.ndarray:

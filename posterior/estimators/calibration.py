@@ -102,7 +102,7 @@ def calibrate(
     - `upsampling`: object pixels for one of the camera, along an axis.
     - `start`: a defocus of many radians is not found from 0.
     - `rounds` of `iterations` steps of quasi-Newton, one compiled loop each. A turn of the LEDs
-      converges last: of a simulated one a third is left after 5, of a measured stack nothing.
+      converges last: of a simulated one a third is left after 5.
 
     The object has a mean amplitude of about 1; its brightness and that of the LEDs are not told
     apart. Raises ValueError for intensities that are no whole electrons, and LEDs that leave the

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from rich.progress import track
 
 from ..models.likelihood import Likelihood
-from .quasi_newton import maximum_likelihood
+from .quasi_newton import default_start, maximum_likelihood
 
 
 def half_samples(
@@ -31,16 +31,17 @@ def half_samples(
     ValueError as `maximum_likelihood` does, and for a `y` that has no halves.
 
     Approximation: exact for the mean of an even number of data. Of n data for p unknowns least
-    squares scatter by about (n/2) / (n/2 - p) more, in variance, and other estimates by as much as
-    they depend on n. What was fitted to all of the data, such as a calibration, does not scatter.
+    squares scatter by about (n/2) / (n/2 - p - 1) more, in variance, and other estimates by as much
+    as they depend on n. What was fitted to all of the data, such as a calibration, does not
+    scatter.
     """
     if np.ndim(y) == 0 or len(y) < 2:
         raise ValueError(f"data of shape {np.shape(y)} have no halves: give 2 or more along axis 0")
     chosen, of_one = np.arange(len(y)) < len(y) // 2, (len(y), *(1,) * (np.ndim(y) - 1))
-    found = []
+    start, found = default_start(likelihood, y), []
     keys = jax.random.split(key, count)
     for one in track(keys, "half samples", disable=not progress):
         weights = jax.random.permutation(one, chosen).reshape(of_one)
-        half = maximum_likelihood(likelihood, y, weights=weights, iterations=iterations)
+        half = maximum_likelihood(likelihood, y, start, weights=weights, iterations=iterations)
         found.append(np.asarray(half.object))
     return np.stack(found)

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from ..models.likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
 from ..models.optics import FourierPtychography
-from ..models.realview import from_real, real_score, to_real
+from ..models.realview import from_real, to_real
 from ..problem import Posterior
 
 with warnings.catch_warnings():
@@ -43,7 +43,7 @@ def maximum_likelihood(
     y: ArrayLike,
     start: ArrayLike | None = None,
     *,
-    weights: ArrayLike | None = None,
+    weights: ArrayLike = 1.0,
     iterations: int = 200,
     tolerance: float = 1e-5,
     history: int = 10,
@@ -53,7 +53,7 @@ def maximum_likelihood(
     - `y`: of `likelihood.data_shape`, normalised.
     - `start`: an object, real or complex: what is found is of its kind, and lies in its valley.
       None: `default_start`.
-    - `weights`: how often each measurement counts, broadcast to `y`, from 0; None: once.
+    - `weights`: how often each measurement counts, broadcast to `y`, from 0.
     - `iterations`: at most; it ends earlier where the gradient falls below `tolerance` times that
       at the start, or where rounding leaves no higher step to be found.
     - `history`: steps that the approximate curvature is built from.
@@ -63,7 +63,7 @@ def maximum_likelihood(
     """
     y = _recording(likelihood, y)
     start = default_start(likelihood, y) if start is None else start
-    target = _Data(likelihood, y, None if weights is None else _weights(weights, y))
+    target = _Data(likelihood, y, _weights(weights, y))
     return _climb(target, likelihood, y, start, iterations, tolerance, history)
 
 
@@ -112,17 +112,10 @@ class _Data(eqx.Module):
 
     likelihood: Likelihood
     y: jax.Array
-    weights: jax.Array | None
+    weights: jax.Array
 
     def log_prob_and_score(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        if self.weights is None:
-            return self.likelihood.log_prob_and_score(x, self.y)
-        value, gradient = jax.value_and_grad(self._weighted)(x)
-        return value, real_score(gradient)
-
-    def _weighted(self, x: jax.Array) -> jax.Array:
-        likelihood = self.likelihood
-        return jnp.sum(self.weights * likelihood.camera.log_prob(self.y, likelihood.expected(x)))
+        return self.likelihood.log_prob_and_score(x, self.y, self.weights)
 
 
 def _climb(
@@ -232,12 +225,15 @@ def _weights(weights: ArrayLike, y: jax.Array) -> jax.Array:
             "not all 0"
         )
     try:
-        return jnp.broadcast_to(jnp.asarray(weights, y.real.dtype), y.shape)
-    except ValueError as error:
+        fits = np.broadcast_shapes(weights.shape, y.shape) == y.shape
+    except ValueError:
+        fits = False
+    if not fits:
         raise ValueError(
             f"weights of shape {weights.shape} for data of shape {y.shape}: give one for each "
             "measurement, or what broadcasts to them"
-        ) from error
+        )
+    return jnp.asarray(weights, y.real.dtype)
 
 
 def _checked_start(start: ArrayLike, shape: tuple[int, ...]) -> jax.Array:

@@ -27,13 +27,13 @@ def irradiance_of(y: np.ndarray, optics: Optics, prior: Prior) -> float:
     if total <= 0:
         raise ValueError("the recording is dark everywhere: there is nothing to reconstruct from")
     if isinstance(optics, Fourier) and isinstance(prior, GaussianField | LearnedPrior):
-        return total / mean_energy(prior)
+        return total / _mean_energy(prior)
     draws = jax.vmap(prior.sample)(jax.random.split(jax.random.key(0), 64))
     energy = jnp.sum(jnp.abs(jax.vmap(optics)(draws)) ** 2) / len(draws)
     return total / float(energy)
 
 
-def mean_energy(prior: GaussianField | LearnedPrior) -> float:
+def _mean_energy(prior: GaussianField | LearnedPrior) -> float:
     """Expected sum of |object|^2."""
     channels = 2 if prior.complex_valued else 1
     if isinstance(prior, LearnedPrior):
@@ -44,4 +44,4 @@ def mean_energy(prior: GaussianField | LearnedPrior) -> float:
 
 def prior_scale(o: np.ndarray, prior: GaussianField | LearnedPrior) -> float:
     """By what to multiply an object (*shape), so that its energy is the mean of the prior's."""
-    return (mean_energy(prior) / float(np.sum(np.abs(o) ** 2, dtype=float))) ** 0.5
+    return (_mean_energy(prior) / float(np.sum(np.abs(o) ** 2, dtype=float))) ** 0.5

@@ -91,8 +91,8 @@ def test_a_calibrated_microscope_predicts_images_it_has_not_seen(halves, found):
 def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
     """One calibration, two posteriors of other images: their spread over how far they differ.
 
-    Below 1 they are too sure. At 1 or above nothing is proven: both lean on the same prior. Printed
-    by band of the complex object too, in periods across the field of view.
+    Below 1 they are too sure, above 1 not sure enough. At 1 nothing is proven: both lean on the
+    same prior. Printed by band of the complex object too, in periods across the field of view.
     """
     *stacks, upsampling = halves
     whole = stacks[0]._replace(
@@ -115,7 +115,7 @@ def test_draws_of_two_halves_of_the_leds_differ_as_they_say(halves):
         ratio = spread_over_difference(*(s[:, band] for s in spectra))
         print(f"  {low} to {high}: {ratio:.2f}")
         assert ratio > 0.6  # 0.71 at the least: it is not right, and must not become worse
-    assert amplitude > 0.8
+    assert 0.8 < amplitude < 1.5  # 1.25: too wide, and must not become wider
 
 
 def spread_over_difference(one, other):

@@ -191,13 +191,13 @@ def measured():
 
 @pytest.mark.slow
 def test_the_microscope_is_found_again(measured):
-    """Each number to a tenth of the largest of its kind, or better; the errors met are a third.
+    """An error of a tenth in any number is caught; the errors met are up to half of the bounds.
 
     A turn of the LEDs converges last: a third of it is left after 5 rounds, the default.
     """
     leds, aberration = calibrate(measured, UPSAMPLING, rounds=15, progress=False).calibration
     np.testing.assert_allclose(leds[:2], WRONG.leds[:2], atol=0.02)
-    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=0.0015)
+    np.testing.assert_allclose(leds[2:], WRONG.leds[2:], atol=0.0012)
     np.testing.assert_allclose(aberration, WRONG.aberration, atol=0.006)
 
 
@@ -206,7 +206,8 @@ def test_the_microscope_found_predicts_images_it_has_not_seen(measured):
     """Half of the LEDs, told apart as on a chess board, light the images of the other half.
 
     With the true microscope too they have more than the noise, for the object is fitted: 1.31 to
-    1.39 times in four recordings, and 1.50 to 1.59 with the one found (1.13 to 1.17 times as much).
+    1.39 times in four recordings, and 1.50 to 1.59 with the one found: 1.15 times as much, with a
+    sd of 0.014.
     """
     half = np.arange(49) % 2 == 0
     fitted, held_out = measured.of(half), measured.of(~half)
@@ -217,7 +218,7 @@ def test_the_microscope_found_predicts_images_it_has_not_seen(measured):
     }
     misfits = {name: held_out_misfit(each, held_out) for name, each in found.items()}
     print("\nmisfit of the LEDs held out:", {k: round(float(v), 2) for k, v in misfits.items()})
-    assert misfits["found"] < 1.25 * misfits["true"]
+    assert misfits["found"] < (1.15 + 4 * 0.014) * misfits["true"]
     assert misfits["nominal"] > 10 * misfits["true"]
 
 
