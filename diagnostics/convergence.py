@@ -1,25 +1,151 @@
-"""Convergence of chains: R-hat, effective sample size and Monte-Carlo error, on arviz-stats.
+"""Convergence of chains: R-hat, effective sample size and Monte-Carlo error (Vehtari et al. 2021).
 
-Every function takes draws (chains, draws, *shape), real, and returns an array of `shape`.
+Every function takes draws (chains, draws, *shape), real, and returns an array of `shape`: nan where
+draws do not vary, for nothing can be said there. All pixels are done at once, some thousand at a
+time, so that memory beyond the draws is bounded. Raises ValueError for draws that are complex, not
+finite, too few, or the same everywhere.
 """
 
+from collections.abc import Callable
+
 import numpy as np
-from arviz_stats.base import array_stats
+import scipy.fft
+from scipy.special import ndtri
+from scipy.stats import rankdata
+
+_PART = 2**22  # numbers of a part
 
 
 def rhat(values: np.ndarray) -> np.ndarray:
-    """Rank-normalised split R-hat (Vehtari et al. 2021)."""
-    return array_stats.rhat(_checked(values), chain_axis=0, draw_axis=1)
+    """Rank-normalised split R-hat, the larger of bulk and tail; of two chains or more."""
+    if np.shape(values)[0] < 2:
+        raise ValueError("draws of one chain: R-hat compares chains, give 2 or more")
+    return _by_parts(_rhat, values)
 
 
 def ess(values: np.ndarray, method: str = "bulk") -> np.ndarray:
-    """Effective sample size; `method` "bulk", "tail", "mean" or "sd" (Vehtari et al. 2021)."""
-    return array_stats.ess(_checked(values), chain_axis=0, draw_axis=1, method=method)
+    """Effective sample size; `method` "bulk", "tail", "mean" or "sd"."""
+    if method not in _PREPARED:
+        raise ValueError(f"unknown method {method!r}: use {', '.join(_PREPARED)}")
+    prepared = _PREPARED[method]
+    return _by_parts(lambda x: np.min([_ess(part) for part in prepared(x)], axis=0), values)
 
 
 def mcse(values: np.ndarray, method: str = "mean") -> np.ndarray:
-    """Monte-Carlo standard error of the mean or the sd."""
-    return array_stats.mcse(_checked(values), chain_axis=0, draw_axis=1, method=method)
+    """Monte-Carlo standard error of the mean or the sd; `method` "mean" or "sd"."""
+    if method not in _ERRORS:
+        raise ValueError(f"unknown method {method!r}: use {', '.join(_ERRORS)}")
+    return _by_parts(_ERRORS[method], values)
+
+
+def _rhat(x: np.ndarray) -> np.ndarray:
+    x = _split(x)
+    folded = np.abs(x - np.median(x, axis=(1, 2), keepdims=True))
+    return np.fmax(_ratio(_normal_scores(x)), _ratio(_normal_scores(folded)))
+
+
+def _ratio(x: np.ndarray) -> np.ndarray:
+    """R-hat of (pixels, chains, draws)."""
+    length = x.shape[2]
+    between, within = x.mean(axis=2).var(axis=1, ddof=1), x.var(axis=2, ddof=1).mean(axis=1)
+    # Chains that stand still, each elsewhere, are infinitely far from agreement.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.sqrt(between / within + (length - 1) / length)
+
+
+def _ess(x: np.ndarray) -> np.ndarray:
+    """By Geyer's initial monotone sequence, of (pixels, chains, draws)."""
+    _, chains, length = x.shape
+    covariance = _autocovariance(x)
+    within, total = covariance[:, 0] * length / (length - 1), covariance[:, 0]
+    if chains > 1:
+        total = total + x.mean(axis=2).var(axis=1, ddof=1)
+    varies = total > 0
+    rho = 1 - (within[:, None] - covariance) / np.where(varies, total, 1.0)[:, None]
+    rho[:, 0] = 1.0
+    last = max(-(-(length - 2) // 2) - 1, 0)
+    pairs = rho[:, 0 : 2 * last + 1 : 2] + rho[:, 1 : 2 * last + 2 : 2]
+    ended = np.any(pairs <= 0, axis=1)
+    count = np.where(ended, np.argmax(pairs <= 0, axis=1), last)
+    kept = np.arange(pairs.shape[1]) < count[:, None]
+    monotone = np.where(kept, np.minimum.accumulate(pairs, axis=1), 0.0).sum(axis=1)
+    rest = np.take_along_axis(rho, 2 * count[:, None], axis=1)[:, 0]
+    tau = -1 + 2 * monotone + np.where(ended, np.maximum(rest, 0.0), rest)
+    # More draws than there are, where they alternate; not more than so many times.
+    size = chains * length
+    return np.where(varies, size / np.maximum(tau, 1 / np.log10(size)), size)
+
+
+def _autocovariance(x: np.ndarray) -> np.ndarray:
+    """Of draws, divided by their number at every lag, and averaged over chains."""
+    length = x.shape[2]
+    padded = scipy.fft.next_fast_len(2 * length, real=True)
+    spectrum = scipy.fft.rfft(x - x.mean(axis=2, keepdims=True), padded)
+    power = (spectrum.real**2 + spectrum.imag**2).mean(axis=1)
+    return scipy.fft.irfft(power, padded)[:, :length] / length
+
+
+def _normal_scores(x: np.ndarray) -> np.ndarray:
+    """Ranks among all draws of a pixel as quantiles of the normal distribution (Blom 1958)."""
+    flat = x.reshape(len(x), -1)
+    return ndtri((rankdata(flat, axis=1) - 3 / 8) / (flat.shape[1] + 1 / 4)).reshape(x.shape)
+
+
+def _split(x: np.ndarray) -> np.ndarray:
+    """Each chain as two, its first and its last half."""
+    half = x.shape[2] // 2
+    return np.concatenate([x[:, :, :half], x[:, :, -half:]], axis=1)
+
+
+def _tails(x: np.ndarray) -> list[np.ndarray]:
+    quantiles = np.quantile(x, [0.05, 0.95], axis=(1, 2), keepdims=True)
+    return [_split((x <= q).astype(float)) for q in quantiles]
+
+
+def _squares(x: np.ndarray) -> np.ndarray:
+    return (x - x.mean(axis=(1, 2), keepdims=True)) ** 2
+
+
+_PREPARED: dict[str, Callable[[np.ndarray], list[np.ndarray]]] = {
+    "bulk": lambda x: [_normal_scores(_split(x))],
+    "tail": _tails,
+    "mean": lambda x: [_split(x)],
+    "sd": lambda x: [_split(_squares(x))],
+}
+
+
+def _error_of_mean(x: np.ndarray) -> np.ndarray:
+    return x.std(axis=(1, 2), ddof=1) / np.sqrt(_ess(_split(x)))
+
+
+def _error_of_sd(x: np.ndarray) -> np.ndarray:
+    squares = _squares(x)
+    variance = squares.mean(axis=(1, 2))
+    return np.sqrt(squares.var(axis=(1, 2)) / _ess(_split(x)) / variance) / 2
+
+
+_ERRORS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "mean": _error_of_mean,
+    "sd": _error_of_sd,
+}
+
+
+def _by_parts(statistic: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -> np.ndarray:
+    """`statistic` of (pixels, chains, draws), over all pixels that vary."""
+    values = _checked(values)
+    chains, draws, *shape = values.shape
+    flat = values.reshape(chains, draws, -1)
+    found = np.full(flat.shape[2], np.nan)
+    size = max(1, _PART // (chains * draws))
+    for first in range(0, len(found), size):
+        x = np.moveaxis(flat[:, :, first : first + size], 2, 0).astype(float)
+        varies = np.ptp(x, axis=(1, 2)) > 0
+        part = found[first : first + size]
+        if varies.any():
+            part[varies] = statistic(x[varies])
+    if np.isnan(found).all():
+        raise ValueError("draws do not vary: the chains have not moved")
+    return found.reshape(shape)[()]
 
 
 def _checked(values: np.ndarray) -> np.ndarray:
@@ -32,4 +158,4 @@ def _checked(values: np.ndarray) -> np.ndarray:
         )
     if not np.all(np.isfinite(values)):
         raise ValueError("draws hold NaN or infinity: the run has diverged")
-    return values.astype(float, copy=False)
+    return values

@@ -120,12 +120,11 @@ def _convergence(values: np.ndarray, sampler: Sampler) -> dict[str, float]:
     if len(values) < 2 or values.shape[1] < 4:
         return {}
     parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
-    # Chains that never move have no R-hat: as bad as can be.
-    with np.errstate(all="ignore"):
-        worst = [rhat(p) for p in parts]
-        worst = np.where(np.isnan(worst), np.inf, worst)
-        found = {"rhat": float(np.max(worst)), "unmixed": float(np.mean(worst > MIXED))}
-        # Particles have no order: counting their correlation would say nothing.
-        if not isinstance(sampler, PopulationSampler):
-            found["ess"] = float(np.min(np.nan_to_num([ess(p) for p in parts])))
+    parts = [part for part in parts if np.ptp(part) > 0]
+    # Pixels that never move have no R-hat: as bad as can be.
+    worst = [np.nan_to_num(rhat(part), nan=np.inf) for part in parts] or np.inf
+    found = {"rhat": float(np.max(worst)), "unmixed": float(np.mean(np.greater(worst, MIXED)))}
+    # Particles have no order: counting their correlation would say nothing.
+    if not isinstance(sampler, PopulationSampler):
+        found["ess"] = float(np.min([np.nan_to_num(ess(part)) for part in parts] or 0.0))
     return found

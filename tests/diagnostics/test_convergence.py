@@ -1,0 +1,80 @@
+"""R-hat, ESS and Monte-Carlo error of whole maps, beside arviz-stats pixel by pixel."""
+
+import numpy as np
+import pytest
+from arviz_stats.base import array_stats
+
+from posterior.diagnostics import convergence, ess, mcse, rhat
+
+AXES = {"chain_axis": 0, "draw_axis": 1}
+SIZES = [(1, 4), (1, 5), (2, 6), (2, 7), (3, 50), (4, 301)]
+
+
+def autoregressive(chains, draws, pixels=40):
+    """(chains, draws, pixels), from alternating to hardly moving; one pixel in whole numbers."""
+    rng = np.random.default_rng(draws)
+    x = rng.standard_normal((chains, draws, pixels))
+    for t in range(1, draws):
+        x[:, t] += np.linspace(-0.99, 0.99, pixels) * x[:, t - 1]
+    x[:, :, 5] = np.round(2 * x[:, :, 5])
+    return x
+
+
+@pytest.mark.parametrize("chains, draws", SIZES)
+@pytest.mark.parametrize("method", ["bulk", "tail", "mean", "sd"])
+def test_ess_is_that_of_arviz(chains, draws, method):
+    x = autoregressive(chains, draws)
+    settings = {"prob": (0.05, 0.95)} if method == "tail" else {}
+    expected = array_stats.ess(x, **AXES, method=method, **settings)
+    np.testing.assert_allclose(ess(x, method), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("chains, draws", SIZES[2:])
+def test_rhat_and_error_are_those_of_arviz(chains, draws):
+    x = autoregressive(chains, draws) + 0.3 * np.arange(chains)[:, None, None]
+    np.testing.assert_allclose(rhat(x), array_stats.rhat(x, **AXES), rtol=1e-11)
+    for method in ("mean", "sd"):
+        expected = array_stats.mcse(x, **AXES, method=method)
+        np.testing.assert_allclose(mcse(x, method), expected, rtol=1e-11)
+
+
+def test_a_picture_is_done_in_parts(monkeypatch):
+    x = autoregressive(2, 50, 60).reshape(2, 50, 6, 10)
+    whole = ess(x), rhat(x), mcse(x)
+    monkeypatch.setattr(convergence, "_PART", 100 * 7)
+    for part, all_at_once in zip((ess(x), rhat(x), mcse(x)), whole):
+        assert part.shape == (6, 10)
+        np.testing.assert_array_equal(part, all_at_once)
+
+
+def test_a_pixel_that_does_not_vary_has_no_number():
+    x = autoregressive(2, 50)
+    x[:, :, 3] = 0.1
+    for found in (ess(x), rhat(x), mcse(x)):
+        assert np.flatnonzero(np.isnan(found)).tolist() == [3]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda x: x[:1], "one chain"),
+        (lambda x: x[:, :3], "4 draws or more"),
+        (lambda x: x + 1j, "complex draws"),
+        (lambda x: np.where(x > 2, np.nan, x), "NaN or infinity"),
+        (lambda x: 0 * x, "do not vary"),
+    ],
+)
+def test_bad_draws_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        rhat(change(autoregressive(2, 50)))
+
+
+def test_unknown_methods_are_refused():
+    for statistic in (ess, mcse):
+        with pytest.raises(ValueError, match="unknown method 'median'"):
+            statistic(autoregressive(2, 50), "median")
+
+
+def test_chains_that_stand_still_in_different_places_never_agree():
+    x = np.broadcast_to(np.arange(2.0)[:, None, None], (2, 50, 3))
+    assert np.all(np.isinf(rhat(x)))
