@@ -1,8 +1,15 @@
 """Can the draws be believed? These functions see arrays, a Problem and a sampler."""
 
+from .campaign import Settings, Simulations, simulate
 from .convergence import ess, mcse, rhat
+from .coverage import Coverage, coverage
 from .distance import noise_floor, sliced_wasserstein
 from .gauge import Gauge, align, gauge_to
 from .modes import Modes, modes
 from .predictive import misfit
+from .quantities import default_quantities
+from .rank_plot import plot_ranks
+from .ranks import randomised_ranks, thinned
+from .sbc import Calibration, sbc
 from .spread import circular_mean, circular_sd, interval, interval_width, spread_over_error
+from .uniformity import bands, holm, uniformity

@@ -1,0 +1,40 @@
+"""Ranks as curves: where the draws of a sampler lie beside the truths, and how far is chance."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .sbc import Calibration
+from .uniformity import bands
+
+
+def plot_ranks(
+    calibration: Calibration, axes: Axes | None = None, level: float = 0.95, named: int = 4
+) -> Axes:
+    """Draw the distribution of ranks less that of uniform ones, a line for each quantity.
+
+    The grey band holds a line as a whole with probability 1 - (1 - level)/Q: all Q of them with
+    `level` or more. A line that rises above it on the left and falls below on the right is of draws
+    that are too narrow, one wholly above of draws that are too high. The `named` worst lines are
+    told apart by colour. Returns the axes, new ones unless given.
+    """
+    axes = Figure(figsize=(6.0, 3.6), layout="constrained").add_subplot() if axes is None else axes
+    n, count = calibration.ranks.shape
+    low, high = bands(n, 1 - (1 - level) / count)
+    k = np.arange(1, n + 1)
+    # The k-th smallest rank is where the distribution steps from (k - 1)/n to k/n.
+    axes.fill_between(low, k / n - low, color="0.88", lw=0, step="post")
+    axes.fill_between(high, (k - 1) / n - high, color="0.88", lw=0, step="post")
+    p = calibration.p
+    worst = sorted(p, key=p.__getitem__)[:named]
+    for name, ranks in zip(calibration.names, calibration.ranks.T):
+        ordered = np.concatenate([[0], np.sort(ranks), [1]])
+        shares = np.concatenate([[0], k / n, [1]]) - ordered
+        if name in worst:
+            axes.plot(ordered, shares, lw=1.4, label=f"{name}, p = {p[name]:.2g}", zorder=3)
+        else:
+            axes.plot(ordered, shares, lw=0.7, color="0.6")
+    axes.axhline(0, color="0.3", lw=0.7)
+    axes.set(xlim=(0, 1), xlabel="rank of the truth among the draws", ylabel="share less rank")
+    axes.legend(fontsize=7, frameon=False)
+    return axes

@@ -1,0 +1,120 @@
+"""Simulation-based calibration: do draws and truths come from one distribution?"""
+
+import os
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..problem import Problem
+from ..samplers.base import Sampler
+from .campaign import Drawer, Settings, simulate
+from .quantities import Quantity, default_quantities
+from .ranks import randomised_ranks, thinned
+from .uniformity import holm, uniformity
+
+# Ranks among fewer draws than that tell truths apart too coarsely to call them right.
+_FEWEST = 10
+
+
+class Calibration(NamedTuple):
+    """Ranks (n, Q) of n truths in each of Q quantities `names`, and how many draws they are among.
+
+    `effective`: the median number of draws left after thinning, of each quantity.
+    """
+
+    names: tuple[str, ...]
+    ranks: np.ndarray
+    effective: np.ndarray
+
+    @property
+    def p(self) -> dict[str, float]:
+        """p-value of each quantity, adjusted for their number (`holm`)."""
+        return holm({name: uniformity(u) for name, u in zip(self.names, self.ranks.T)})
+
+    def coverage(self, level: float) -> dict[str, tuple[float, float]]:
+        """Share of the truths inside the central interval of `level`, and its standard error."""
+        if not 0 < level < 1:
+            raise ValueError(f"level {level}: it must lie between 0 and 1")
+        inside = np.abs(self.ranks - 0.5) < level / 2
+        error = np.sqrt(level * (1 - level) / len(inside))
+        return {name: (float(share), error) for name, share in zip(self.names, inside.mean(axis=0))}
+
+    def verdict(self, alpha: float = 0.05) -> str:
+        """One sentence: passes, fails (in what, and how), or cannot be judged, and why.
+
+        An exact sampler fails with probability `alpha` at most.
+        """
+        p, n = self.p, len(self.ranks)
+        worst = min(p, key=p.__getitem__)
+        coarse = int(np.argmin(self.effective))
+        if self.effective[coarse] < _FEWEST:
+            return (
+                f"cannot be judged: {self.effective[coarse]:.0f} independent draws of "
+                f"{self.names[coarse]} in a run, {_FEWEST} are needed: more draws, or thin them"
+            )
+        if p[worst] < alpha:
+            failed = sum(value < alpha for value in p.values())
+            said = _fault(self.ranks[:, self.names.index(worst)])
+            return (
+                f"fails: {worst} (p = {p[worst]:.2g}), {said}; {failed} of {len(p)} quantities in "
+                f"{n} simulations"
+            )
+        return f"passes: {len(p)} quantities in {n} simulations, the smallest p is {p[worst]:.2g}"
+
+
+def sbc(
+    problem: Problem,
+    sampler: Sampler | Drawer,
+    key: jax.Array,
+    simulations: int = 200,
+    *,
+    quantities: Mapping[str, Quantity] | None = None,
+    chains: int = 1,
+    draws: int = 100,
+    warmup: int | None = None,
+    thin: int = 1,
+    independent: bool | None = None,
+    batch: int = 32,
+    folder: str | os.PathLike | None = None,
+    progress: bool = True,
+) -> Calibration:
+    """Simulation-based calibration of `sampler` on `problem` (Cook et al. 2006, Talts et al. 2018).
+
+    Draws (x, y) of the joint distribution and draws of the posterior given y: if these are exact,
+    the rank of f(x, y) among theirs is uniform, for every f. `quantities`: {name: f(x, y)}, a real
+    scalar each; None: `default_quantities`. `independent`: draws of a run are, and are not thinned
+    by their effective number; None: as the sampler says, and for a function of draws, True.
+    The rest as in `campaign.simulate`. Objects are drawn by `prior.sample`: what is tested is the
+    sampler, not the prior, but where those draws are approximate (of a learned prior, by reverse
+    diffusion) their error counts too.
+
+    Passing is no proof: a fault that no quantity sees passes, and so does one too small for so
+    many simulations.
+    """
+    if simulations < 20:
+        raise ValueError(f"{simulations} simulations: give 20 or more, no test sees less")
+    if independent is None:
+        independent = sampler.independent if isinstance(sampler, Sampler) else True
+    quantities = default_quantities(problem) if quantities is None else quantities
+    settings = Settings(chains, draws, warmup, thin)
+    names, truths, found = simulate(
+        problem, sampler, key, simulations, quantities, settings,
+        batch=batch, folder=folder, progress=progress,
+    )  # fmt: skip
+    kept = np.ones(found.shape, bool) if independent else thinned(found)
+    flat, kept = (a.reshape(len(a), -1, len(names)) for a in (found, kept))
+    # The ranks' own randomness follows the key too, away from every simulation's.
+    seed = jax.random.key_data(jax.random.fold_in(key, 2**31))
+    ranks = randomised_ranks(truths, flat, np.random.default_rng(np.asarray(seed)), kept)
+    return Calibration(names, ranks, np.median(kept.sum(axis=1), axis=0))
+
+
+def _fault(u: np.ndarray) -> str:
+    """What ranks say is wrong: the larger of an offset and a spread, in standard errors."""
+    offset = (u.mean() - 0.5) * np.sqrt(12 * len(u))
+    spread = (np.mean((u - 0.5) ** 2) - 1 / 12) * np.sqrt(180 * len(u))
+    if abs(offset) > abs(spread):
+        return "draws are too low" if offset > 0 else "draws are too high"
+    return "draws are too narrow" if spread > 0 else "draws are too wide"

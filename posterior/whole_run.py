@@ -1,0 +1,100 @@
+"""A whole run as one pure function: to be compiled, and batched over posteriors, by others."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .problem import Posterior
+from .samplers import Ensemble
+from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
+
+
+def whole_run(
+    sampler: Sampler,
+    posterior: Posterior,
+    key: jax.Array,
+    *,
+    chains: int = 1,
+    draws: int = 100,
+    warmup: int | None = None,
+    thin: int = 1,
+    record: Callable[[jax.Array], Any] = lambda x: x,
+) -> Any:
+    """`record` of every draw, in leaves (chains, draws, ...): the draws that `sample` makes.
+
+    As `sample`, without progress, checkpoints, checks, or a start of one's own; traceable, so that
+    `jax.vmap` runs it on many posteriors at once. Chains that diverge give NaN. `record`: a
+    function of one object; what it returns is all that is held.
+    Raises ValueError for `Ensemble`, which is not written in JAX.
+    """
+    if isinstance(sampler, Ensemble):
+        raise ValueError("Ensemble (emcee) cannot be compiled: take another sampler, or `sample`")
+    warmup = sampler.default_warmup() if warmup is None else warmup
+    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(chains))
+    if isinstance(sampler, PopulationSampler):
+        return _population(sampler, posterior, keys, draws, record)
+    states = _warmed(sampler, posterior, keys, warmup)
+    per_draw = sampler.steps_per_draw() * thin
+
+    def one_draw(states: Any, index: jax.Array) -> tuple[Any, Any]:
+        first = index * per_draw
+
+        def move(i: jax.Array, states: Any) -> Any:
+            return vmap_step(sampler, _fold(_fold(keys, 2), first + i), states)[0]
+
+        states = jax.lax.fori_loop(0, per_draw, move, states)
+        return states, _recorded(sampler.position, record, sampler, states)
+
+    _, found = jax.lax.scan(one_draw, states, jnp.arange(draws))
+    return jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), found)
+
+
+def _warmed(sampler: Sampler, posterior: Posterior, keys: jax.Array, warmup: int) -> Any:
+    """States of the chains after their warm-up."""
+    states = vmap_init(sampler, _fold(keys, 0), posterior, None)
+    keys = _fold(keys, 1)
+    if not warmup:
+        return states
+    if sampler.tunes_itself():
+        axes = chain_axes(states, sampler.shared)
+        own = jax.vmap(lambda k, s: sampler.own_warmup(k, s, warmup), (0, axes), axes)
+        return own(keys, states)
+    adaptation = sampler.adaptation()
+    if adaptation is None:
+        return jax.lax.fori_loop(
+            0, warmup, lambda i, s: vmap_step(sampler, _fold(keys, i), s)[0], states
+        )
+
+    def tune(i: jax.Array, carry: tuple) -> tuple:
+        return adaptation.step(i, warmup, _fold(keys, i), *carry)
+
+    carry = (states, adaptation.init(states))
+    return adaptation.finish(*jax.lax.fori_loop(0, adaptation.steps(warmup), tune, carry))
+
+
+def _population(
+    sampler: PopulationSampler, posterior: Posterior, keys: jax.Array, size: int, record: Callable
+) -> Any:
+    example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
+    axes = chain_axes(example, sampler.shared)
+    states = jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(_fold(keys, 0))
+
+    def move(carry: tuple) -> tuple:
+        step, states = carry
+        return step + 1, vmap_step(sampler, _fold(_fold(keys, 1), step), states)[0]
+
+    unfinished = lambda carry: ~jnp.all(carry[1].done)  # noqa: E731
+    _, states = jax.lax.while_loop(unfinished, move, (0, states))
+    return _recorded(sampler.population, jax.vmap(record), sampler, states)
+
+
+def _recorded(place: Callable, record: Callable, sampler: Sampler, states: Any) -> Any:
+    axes = chain_axes(states, sampler.shared)
+    return jax.vmap(lambda state: record(place(state)), in_axes=(axes,))(states)
+
+
+def _fold(keys: jax.Array, index: jax.Array | int) -> jax.Array:
+    return jax.vmap(lambda k: jax.random.fold_in(k, index))(keys)

@@ -1,0 +1,88 @@
+"""Simulations in batches: the same whatever the batch, and after an interruption."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from faults import GaussianCase
+
+from posterior.diagnostics import campaign
+from posterior.diagnostics.campaign import Settings, simulate
+from posterior.sampling import NonFiniteError
+
+CASE = GaussianCase(size=6, rows=4)
+ASKED = {
+    "norm": lambda x, y: jnp.sum(x**2),
+    "fit": lambda x, y: jnp.sum((CASE.matrix @ x - y) ** 2),
+}
+
+
+def simulated(count, *, batch=4, key=0, sampler=None, **settings):
+    sampler = CASE.drawer(count=5) if sampler is None else sampler
+    key = jax.random.key(key)
+    return simulate(
+        CASE.problem, sampler, key, count, ASKED, batch=batch, progress=False, **settings
+    )
+
+
+def test_truths_and_draws_are_those_of_the_simulation_with_that_number():
+    found = simulated(6)
+    assert found.names == ("norm", "fit")
+    assert found.truths.shape == (6, 2) and found.draws.shape == (6, 1, 5, 2)
+    key_joint, key_run = jax.random.split(jax.random.fold_in(jax.random.key(0), 5))
+    x, y = CASE.problem.simulate(key_joint)
+    np.testing.assert_allclose(found.truths[5], [f(x, y) for f in ASKED.values()], rtol=1e-4)
+    draws = CASE.drawer(count=5)(key_run, CASE.problem.condition(y))[0]
+    expected = [[f(x, y) for f in ASKED.values()] for x in draws]
+    np.testing.assert_allclose(found.draws[5, 0], expected, rtol=1e-4)
+
+
+def test_neither_batch_nor_number_change_a_simulation():
+    few, many = simulated(3, batch=2), simulated(9, batch=4)
+    np.testing.assert_allclose(few.truths, many.truths[:3], rtol=1e-4)
+    np.testing.assert_allclose(few.draws, many.draws[:3], rtol=1e-4)
+
+
+def test_a_killed_campaign_goes_on_and_repeats_nothing(tmp_path, monkeypatch):
+    whole, ran = simulated(10), []
+    compiled = campaign._batch
+
+    def dying(*args):
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        ran.append(1)
+        return compiled(*args)
+
+    monkeypatch.setattr(campaign, "_batch", dying)
+    with pytest.raises(KeyboardInterrupt):
+        simulated(10, folder=tmp_path / "c")
+    monkeypatch.setattr(campaign, "_batch", lambda *args: (ran.append(1), compiled(*args))[1])
+    resumed = simulated(10, folder=tmp_path / "c")
+    assert len(ran) == 3
+    np.testing.assert_array_equal(resumed.truths, whole.truths)
+    np.testing.assert_array_equal(resumed.draws, whole.draws)
+    # A finished one is read, and may grow.
+    assert len(simulated(7, folder=tmp_path / "c").truths) == 7 and len(ran) == 3
+    assert len(simulated(13, folder=tmp_path / "c").truths) == 13 and len(ran) == 4
+
+
+def test_the_folder_of_another_campaign_is_refused(tmp_path):
+    simulated(4, folder=tmp_path / "c")
+    with pytest.raises(ValueError, match="another run"):
+        simulated(4, key=1, folder=tmp_path / "c")
+    with pytest.raises(ValueError, match="another run"):
+        simulated(4, settings=Settings(draws=7), folder=tmp_path / "c")
+
+
+def test_a_run_that_diverges_is_named():
+    def diverging(key, posterior):
+        return jnp.full((1, 5, 6), jnp.nan)
+
+    with pytest.raises(NonFiniteError, match="simulation 0: norm is NaN"):
+        simulated(4, sampler=diverging)
+
+
+@pytest.mark.parametrize("settings", [{"count": 0}, {"count": 2.5}, {"count": 4, "batch": 0}])
+def test_bad_numbers_are_refused(settings):
+    with pytest.raises(ValueError, match="give a whole number, 1 or more"):
+        simulated(**settings)

@@ -1,0 +1,65 @@
+"""What calibration asks of an object and its recording, beside plain NumPy."""
+
+import jax
+import numpy as np
+import pytest
+from analytic import wiener
+
+import posterior as ps
+from posterior import models
+from posterior.diagnostics.quantities import HaarEnergy, PatchMean, default_quantities
+from posterior.models.priors import ScorePrior
+
+SHAPES = [(8,), (8, 6), (9, 8, 3)]
+
+
+def denoising(shape, dtype=float):
+    size = int(np.prod(shape)) * (2 if dtype is complex else 1)
+    prior = models.GaussianPrior(np.zeros(size), np.eye(size), shape, dtype)
+    return ps.Problem(models.LinearLikelihood(models.Identity(shape), models.Gaussian(0.3)), prior)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_each_is_what_its_name_says(x64, shape, dtype):
+    problem = denoising(shape, dtype)
+    x, y = (np.asarray(a) for a in problem.simulate(jax.random.key(0)))
+    found = {name: float(f(x, y)) for name, f in default_quantities(problem).items()}
+    norm = np.sum(np.abs(x) ** 2)
+    assert found["squared norm"] == pytest.approx(norm)
+    assert sum(v for n, v in found.items() if "frequencies" in n) == pytest.approx(norm)
+    assert found["distance to estimate"] == pytest.approx(np.sum(np.abs(x - y) ** 2))
+    assert found["log-posterior"] == pytest.approx(found["log-likelihood"] + found["log-prior"])
+    amplitude = np.abs(x) if dtype is complex else x
+    first = [name for name in found if name.startswith("mean")][0]
+    halves = tuple(slice(0, n // 2) for n in shape[:2])
+    assert found[first] == pytest.approx(amplitude[halves].mean())
+    assert sum(name.startswith("mean") for name in found) == 2 ** min(len(shape), 2)
+
+
+def test_wavelets_see_the_scale_of_a_pattern():
+    stripes = np.kron(np.ones((4, 1)), np.repeat([[1.0, -1.0]], 2, axis=1)).repeat(2, axis=0)
+    energies = [float(HaarEnergy(scale, (0, 1))(stripes, None)) for scale in (0, 1)]
+    assert energies[0] == 0 and energies[1] > 0
+    rough = np.indices((8, 4)).sum(axis=0) % 2 * 2.0 - 1
+    energies = [float(HaarEnergy(scale, (0, 1))(rough, None)) for scale in (0, 1)]
+    assert energies[0] == 8 * 4 / 2 * 2 * 4 and energies[1] == 0
+
+
+def test_a_global_phase_changes_the_densities_alone(x64):
+    problem = denoising((8, 6), complex)
+    x, y = problem.simulate(jax.random.key(0))
+    for name, f in default_quantities(problem).items():
+        same = np.isclose(f(x, y), f(x * np.exp(1j), y))
+        assert same == (name not in {"log-likelihood", "log-posterior", "distance to estimate"})
+
+
+def test_small_objects_have_what_is_there():
+    assert [name for name in default_quantities(denoising((1,))) if "px" in name] == []
+    assert isinstance(default_quantities(denoising((1,)))["mean [0:1]"], PatchMean)
+
+
+def test_a_score_network_has_no_density_to_ask_for(x64):
+    prior = ScorePrior(wiener(), (8, 6))
+    problem = ps.Problem(denoising((8, 6)).likelihood, prior)
+    assert not {"log-prior", "log-posterior"} & set(default_quantities(problem))

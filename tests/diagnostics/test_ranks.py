@@ -1,0 +1,70 @@
+"""Ranks of truths among draws, ties and autocorrelation included."""
+
+import numpy as np
+import pytest
+
+from posterior.diagnostics.ranks import randomised_ranks, thinned
+from posterior.diagnostics.uniformity import uniformity
+
+
+def test_ranks_are_those_of_a_plain_loop():
+    rng = np.random.default_rng(0)
+    truths, draws = rng.standard_normal((5, 2)), rng.standard_normal((5, 9, 2))
+    u = randomised_ranks(truths, draws, rng)
+    for i in range(5):
+        for q in range(2):
+            k = sum(draws[i, j, q] < truths[i, q] for j in range(9))
+            assert k / 10 <= u[i, q] <= (k + 1) / 10
+
+
+@pytest.mark.parametrize("kind", ["continuous", "with ties", "all equal"])
+def test_ranks_among_three_draws_are_uniform(kind):
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((4000, 4))
+    values = {"continuous": values, "with ties": np.round(values), "all equal": 0 * values}[kind]
+    u = randomised_ranks(values[:, 0], values[:, 1:], rng)
+    assert uniformity(u) > 0.01
+    # A discrete rank, without its random part, is rejected though the draws are exact.
+    k = (values[:, 1:] < values[:, :1]).sum(axis=1)
+    assert uniformity(k / 3) < 1e-6
+
+
+def autoregressive(rng, runs, draws, memory=0.95):
+    x = rng.standard_normal((runs, draws))
+    for t in range(1, draws):
+        x[:, t] = memory * x[:, t - 1] + np.sqrt(1 - memory**2) * x[:, t]
+    return x
+
+
+def test_slow_chains_must_be_thinned():
+    """An exact chain that moves slowly: its ranks pile up at the ends until it is thinned."""
+    rng = np.random.default_rng(2)
+    draws = autoregressive(rng, 1500, 200)
+    truths = rng.standard_normal(1500)
+    assert uniformity(randomised_ranks(truths, draws, rng)) < 1e-6
+    kept = thinned(draws[:, None, :, None])
+    assert kept.shape == (1500, 1, 200, 1)
+    assert uniformity(randomised_ranks(truths, draws, rng, kept[:, 0, :, 0])) > 0.01
+    assert 2 < np.median(kept.sum(axis=2)) < 12
+
+
+def test_chains_that_stand_still_count_as_one_draw():
+    values = np.random.default_rng(3).standard_normal((2, 1, 40, 1))
+    values[0] = 0.3
+    kept = thinned(values)
+    assert kept[0].sum() == 1 and kept[1].sum() >= 20
+
+
+@pytest.mark.parametrize(
+    "truths, draws, message",
+    [
+        (np.zeros(3), np.zeros((3, 0)), "no draw is left"),
+        (np.zeros(3), np.zeros((4, 5)), r"draws of shape \(4, 5\) for truths of \(3,\)"),
+        (np.zeros(3), np.zeros((3, 5, 2)), "for truths of"),
+        (np.zeros(3) + 1j, np.zeros((3, 5)), "complex"),
+        (np.zeros(3), np.full((3, 5), np.nan), "draws hold NaN"),
+    ],
+)
+def test_bad_ranks_are_refused(truths, draws, message):
+    with pytest.raises(ValueError, match=message):
+        randomised_ranks(truths, draws, np.random.default_rng(0))

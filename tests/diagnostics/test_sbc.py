@@ -1,0 +1,101 @@
+"""Simulation-based calibration: passes exact samplers at its level, catches what is planted."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from faults import GaussianCase, MixtureCase
+from matplotlib.figure import Figure
+
+from posterior import samplers
+from posterior.diagnostics import Calibration, plot_ranks, sbc
+
+CASE = GaussianCase()
+EXACT = CASE.drawer()
+# The rest of them, and the smallest number of simulations, are in test_power.py.
+FAULTS = {
+    "temperature 10 % too high": (CASE.drawer(temperature=1.1), 400),
+    "another recording": (CASE.of_other_data, 100),
+}
+
+
+def calibrated(case, sampler, simulations=100, key=0, **settings):
+    return sbc(case.problem, sampler, jax.random.key(key), simulations, progress=False, **settings)
+
+
+@pytest.mark.parametrize("case", [CASE, MixtureCase()], ids=["gaussian", "mixture"])
+def test_exact_draws_pass(case):
+    found = calibrated(case, EXACT if case is CASE else case.drawer(), 200)
+    assert found.verdict(alpha=0.001).startswith("passes")
+    for level in (0.5, 0.8, 0.95):
+        shares, errors = np.array(list(found.coverage(level).values())).T
+        assert np.all(np.abs(shares - level) < 4 * errors)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_caught(fault):
+    drawer, simulations = FAULTS[fault]
+    assert calibrated(CASE, drawer, simulations).verdict(alpha=0.001).startswith("fails")
+
+
+def test_a_lost_mode_is_caught():
+    found = calibrated(MixtureCase(), MixtureCase().drawer(lost=True), 200)
+    assert found.p["mean [4:8]"] < 1e-6 and found.p["mean [0:4]"] > 0.001
+
+
+def test_the_verdict_says_what_is_wrong():
+    narrow = {"first": lambda x, y: x[0]}
+    found = calibrated(CASE, CASE.drawer(temperature=0.5), 400, quantities=narrow)
+    assert "fails: first" in found.verdict() and "too narrow" in found.verdict()
+    found = calibrated(CASE, CASE.drawer(temperature=2.0), 400, quantities=narrow)
+    assert "too wide" in found.verdict()
+    found = calibrated(
+        CASE, lambda key, p: CASE.drawer()(key, p) + 0.3, quantities=narrow, simulations=200
+    )
+    assert "too high" in found.verdict()
+
+
+def test_a_reference_without_the_data_is_blind_to_the_prior():
+    """TARP with a fixed reference passes the prior for the posterior (Lemos et al. 2023)."""
+    fixed = {"distance to 1": lambda x, y: jnp.sum((x - 1) ** 2)}
+    blind = calibrated(CASE, CASE.of_the_prior, 200, quantities=fixed)
+    assert blind.verdict(alpha=0.001).startswith("passes")
+    seen = calibrated(CASE, CASE.of_the_prior, 200)
+    assert seen.p["distance to estimate"] < 1e-6
+
+
+def test_mala_passes_and_chains_that_hardly_move_are_not_judged():
+    problem = GaussianCase(size=8, rows=6)
+    run = {"draws": 60, "warmup": 200}
+    found = calibrated(problem, samplers.MALA(), 100, thin=10, **run)
+    assert found.verdict(alpha=0.001).startswith("passes")
+    assert np.all(found.effective >= 10)
+    slow = calibrated(problem, samplers.MALA(1e-5, "none"), 20, draws=60, warmup=0)
+    assert slow.verdict().startswith("cannot be judged")
+
+
+def test_coverage_follows_the_ranks():
+    ranks = (np.arange(100) + 0.5)[:, None] / 100
+    shares = Calibration(("f",), ranks, np.array([50.0])).coverage(0.8)
+    assert shares == {"f": (pytest.approx(0.8), pytest.approx(0.04))}
+    with pytest.raises(ValueError, match="level 0"):
+        Calibration(("f",), ranks, np.array([50.0])).coverage(0)
+
+
+def test_same_key_same_ranks():
+    first, again, other = (calibrated(CASE, EXACT, 20, key=key) for key in (0, 0, 1))
+    np.testing.assert_array_equal(first.ranks, again.ranks)
+    assert np.all(first.ranks != other.ranks)
+
+
+def test_too_few_simulations_are_refused():
+    with pytest.raises(ValueError, match="give 20 or more"):
+        calibrated(CASE, EXACT, 19)
+
+
+def test_the_picture_has_a_line_for_each_quantity():
+    found = calibrated(CASE, CASE.drawer(temperature=1.1), 100)
+    axes = Figure().add_subplot()
+    assert plot_ranks(found, axes) is axes
+    assert len(axes.lines) == len(found.names) + 1
+    assert plot_ranks(found).get_xlabel() == "rank of the truth among the draws"
