@@ -1,6 +1,7 @@
 """Can the draws be believed? These functions see arrays, a Problem and a sampler."""
 
 from .campaign import Settings, Simulations, simulate
+from .certificate import Certificate, certify
 from .convergence import ess, mcse, rhat
 from .coverage import Coverage, coverage
 from .distance import noise_floor, sliced_wasserstein

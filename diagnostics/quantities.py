@@ -68,6 +68,16 @@ class DistanceToEstimate(eqx.Module):
         return _energy(x - default_start(self.likelihood, y).astype(x.dtype))
 
 
+class DistanceTo(eqx.Module):
+    """Squared distance to one object, such as a mode: sees chains that never leave theirs."""
+
+    place: jax.Array
+
+    def __call__(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """A real scalar."""
+        return _energy(x - self.place.astype(x.dtype))
+
+
 class SquaredNorm(eqx.Module):
     """Sum of |x|^2: sees errors of the spread that are small in every pixel."""
 

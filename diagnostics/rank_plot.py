@@ -18,23 +18,22 @@ def plot_ranks(
     that are too narrow, one wholly above of draws that are too high. The `named` worst lines are
     told apart by colour. Returns the axes, new ones unless given.
     """
-    axes = Figure(figsize=(6.0, 3.6), layout="constrained").add_subplot() if axes is None else axes
+    axes = Figure(figsize=(7.5, 3.6), layout="constrained").add_subplot() if axes is None else axes
     n, count = calibration.ranks.shape
     low, high = bands(n, 1 - (1 - level) / count)
-    k = np.arange(1, n + 1)
-    # The k-th smallest rank is where the distribution steps from (k - 1)/n to k/n.
-    axes.fill_between(low, k / n - low, color="0.88", lw=0, step="post")
-    axes.fill_between(high, (k - 1) / n - high, color="0.88", lw=0, step="post")
+    at = np.linspace(0, 1, 1001)
+    most, least = (np.searchsorted(ends, at, side="right") / n for ends in (low, high))
+    axes.fill_between(at, least - at, most - at, color="0.88", lw=0)
     p = calibration.p
     worst = sorted(p, key=p.__getitem__)[:named]
     for name, ranks in zip(calibration.names, calibration.ranks.T):
-        ordered = np.concatenate([[0], np.sort(ranks), [1]])
-        shares = np.concatenate([[0], k / n, [1]]) - ordered
+        ordered = np.concatenate([[0], np.repeat(np.sort(ranks), 2), [1]])
+        shares = np.repeat(np.arange(n + 1) / n, 2) - ordered
         if name in worst:
             axes.plot(ordered, shares, lw=1.4, label=f"{name}, p = {p[name]:.2g}", zorder=3)
         else:
             axes.plot(ordered, shares, lw=0.7, color="0.6")
     axes.axhline(0, color="0.3", lw=0.7)
     axes.set(xlim=(0, 1), xlabel="rank of the truth among the draws", ylabel="share less rank")
-    axes.legend(fontsize=7, frameon=False)
+    axes.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes

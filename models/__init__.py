@@ -3,7 +3,7 @@
 `Gaussian` here is the camera; the prior of that name is `priors.Gaussian`, or `GaussianPrior`.
 """
 
-from . import annealing, camera, likelihood, optics, priors
+from . import annealing, camera, gallery, likelihood, optics, priors
 from .camera import Camera, Gaussian, Poisson, PoissonGaussian
 from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
 from .optics import (

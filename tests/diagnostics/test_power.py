@@ -24,7 +24,7 @@ class Denoising:
 
     problem = ps.Problem(
         models.LinearLikelihood(models.Identity((32, 32)), models.Gaussian(0.5)),
-        models.GaussianPrior(np.zeros(1024), np.eye(1024), (32, 32)),
+        models.GaussianField(np.ones((32, 32))),
     )
 
 
@@ -81,7 +81,7 @@ def test_each_fault_is_caught_in_95_of_100_repetitions(fault):
         together[size] = rejections(p).mean()
         for name, column in zip(found.names, p.T):
             by_quantity[name][size] = np.mean(column < 0.05)
-    print(f"\\n{fault}: caught from {smallest(together)} simulations on; by one quantity alone:")
+    print(f"\n{fault}: caught from {smallest(together)} simulations on; by one quantity alone:")
     print("  " + ", ".join(f"{name} {smallest(caught)}" for name, caught in by_quantity.items()))
     assert max(together.values()) >= 0.95
 
@@ -91,7 +91,7 @@ def test_false_alarms_of_an_exact_sampler_are_as_many_as_stated():
     found, p_values = pooled(CASE.problem, CASE.drawer())
     p = p_values(40)
     alarms = dict(zip(found.names, np.sum(p < 0.05, axis=0)), together=np.sum(rejections(p)))
-    print("\\nfalse alarms in", len(p), {name: int(count) for name, count in alarms.items()})
+    print("\nfalse alarms in", len(p), {name: int(count) for name, count in alarms.items()})
     least, most = scipy.stats.binom(len(p), 0.05).interval(0.99)
     assert all(least <= count <= most for count in alarms.values())
 
@@ -106,6 +106,6 @@ def test_the_printed_equation_is_caught_and_the_consistent_one_is_closer():
         found, p_values = pooled(one_complex_pixel(), sampler, 800, independent=True, **run)
         caught = {size: rejections(p_values(size)).mean() for size in SIZES[:4]}
         distances[name] = max(scipy.stats.kstest(u, "uniform").statistic for u in found.ranks.T)
-        print(f"\\n{name}: caught from {smallest(caught)} on; {found.verdict()}")
+        print(f"\n{name}: caught from {smallest(caught)} on; {found.verdict()}")
     print({name: round(float(value), 3) for name, value in distances.items()})
     assert distances["printed"] > 2 * distances["consistent"]

@@ -1,0 +1,238 @@
+"""Small problems whose posterior is known: what samplers and diagnostics are tested on.
+
+Each comes with exact draws of its posterior for any recording, by a closed form, or by a quadrature
+whose error is stated. `GALLERY` maps names to functions that build them.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .camera import Gaussian as GaussianCamera
+from .camera import Poisson
+from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
+from .optics import Blur, Fourier, Identity, Matrix
+from .priors import Gaussian, GaussianField, GaussianMixture, PixelPrior
+from .priors.base import Prior
+from .realview import from_real, to_real
+
+Exact = Callable[[jax.Array, jax.Array, int], jax.Array]
+
+
+class Known(NamedTuple):
+    """A likelihood and a prior, and `exact(key, y, count)`: independent draws (count, *shape).
+
+    `exact` is traceable by JAX. `basis` says what it rests on, with its error if it has one;
+    `modes`, where the posterior has several, are objects (modes, *shape), one in each.
+    """
+
+    likelihood: Likelihood
+    prior: Prior
+    exact: Exact
+    basis: str
+    modes: np.ndarray | None = None
+
+
+def linear_gaussian(
+    size: int = 32, rows: int = 24, dtype: type = float, noise: float = 0.3, seed: int = 0
+) -> Known:
+    """Correlated Gaussian objects behind a random matrix; with few `rows` most directions are free.
+
+    The posterior is normal, of one covariance for all recordings.
+    """
+    rng = np.random.default_rng(seed)
+    matrix = rng.standard_normal((rows, size)) / np.sqrt(size)
+    real, n = matrix, size
+    if dtype is complex:
+        matrix = (matrix + 1j * rng.standard_normal((rows, size)) / np.sqrt(size)) / np.sqrt(2)
+        real, n = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]), 2 * size
+    root = rng.standard_normal((n, n)) / np.sqrt(n)
+    covariance, mean = 0.5 * np.eye(n) + root @ root.T, rng.standard_normal(n)
+    gain, rest = _conditioned(covariance, real, noise)
+    cholesky = np.linalg.cholesky(rest)
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        centre = mean + gain @ (to_real(y) - real @ mean)
+        draws = centre + jax.random.normal(key, (count, n)) @ cholesky.T
+        return jax.vmap(lambda v: from_real(v, (size,), jax.dtypes.canonicalize_dtype(dtype)))(
+            draws
+        )
+
+    prior = Gaussian(mean, covariance, (size,), dtype)
+    likelihood = LinearLikelihood(Matrix(matrix), GaussianCamera(noise))
+    return Known(likelihood, prior, exact, "closed form")
+
+
+def field_deblurring(side: int = 64, noise: float = 0.05) -> Known:
+    """A blurred picture of a stationary Gaussian field; Wiener's filter, and its spread."""
+    shape = (side, side)
+    rows, columns = np.meshgrid(*(np.fft.fftfreq(side) for _ in shape), indexing="ij")
+    power = 1e-3 / (0.05 + np.hypot(rows, columns)) ** 2
+    distance = np.hypot(*np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)))
+    psf = np.exp(-0.5 * (distance / 1.5) ** 2)
+    optics, mean = Blur(shape, psf / psf.sum()), 0.5
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        transfer = optics.transfer
+        rest = power / (1 + power * jnp.abs(transfer) ** 2 / noise**2)
+        blurred_mean = mean * transfer[0, 0].real
+        centre = rest * transfer.conj() / noise**2 * jnp.fft.fft2(y - blurred_mean)
+        n = jax.random.normal(key, (count, *shape))
+        return mean + jnp.fft.ifft2(centre + jnp.sqrt(rest) * jnp.fft.fft2(n)).real
+
+    prior = GaussianField(power, mean)
+    return Known(LinearLikelihood(optics, GaussianCamera(noise)), prior, exact, "closed form")
+
+
+def mixture_linear(size: int = 8, rows: int = 2, modes: int = 9, noise: float = 0.5) -> Known:
+    """A mixture of unit Gaussians, of which a random matrix sees a few directions.
+
+    The posterior is a mixture, with the weights of the evidence.
+    """
+    rng = np.random.default_rng(size)
+    means = 3 * rng.standard_normal((modes, size))
+    weights = rng.dirichlet(np.full(modes, 3.0))
+    matrix = rng.standard_normal((rows, size)) / np.sqrt(size)
+    gain, rest = _conditioned(np.eye(size), matrix, noise)
+    seen = np.linalg.cholesky(matrix @ matrix.T + noise**2 * np.eye(rows))
+    cholesky = np.linalg.cholesky(rest)
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        off = y - means @ matrix.T
+        scaled = jax.scipy.linalg.solve_triangular(jnp.asarray(seen, y.dtype), off.T, lower=True)
+        evidence = np.log(weights) - 0.5 * jnp.sum(scaled**2, axis=0)
+        centres = means + off @ gain.T
+        key_mode, key_noise = jax.random.split(key)
+        mode = jax.random.categorical(key_mode, evidence, shape=(count,))
+        return centres[mode] + jax.random.normal(key_noise, (count, size)) @ cholesky.T
+
+    covariances = np.broadcast_to(np.eye(size), (modes, size, size))
+    prior = GaussianMixture(weights, means, covariances, (size,))
+    likelihood = LinearLikelihood(Matrix(matrix), GaussianCamera(noise))
+    return Known(likelihood, prior, exact, "closed form", means)
+
+
+def gamma_poisson(size: int = 16, full_well: int = 50) -> Known:
+    """Photon counts of pixels with a gamma density, its conjugate.
+
+    Saturation, which has no conjugate, has a probability below 1e-6 in a pixel.
+    """
+    concentration, rate = 3.0, 20.0
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        shape = concentration + y * full_well
+        return jax.random.gamma(key, shape, (count, size)) / (rate + full_well)
+
+    prior = PixelPrior.gamma(concentration, rate, (size,))
+    likelihood = LinearLikelihood(Identity((size,)), Poisson(full_well))
+    return Known(likelihood, prior, exact, "closed form")
+
+
+def quantised_counts(
+    size: int = 16, full_well: int = 100, bits: int = 4, nodes: int = 2048
+) -> Known:
+    """Photon counts behind an ADC of 16 codes: each code leaves several counts possible.
+
+    Every pixel by a quadrature of its own, whose cells are 0.1 % of the prior's range.
+    """
+    prior = PixelPrior.gamma(3.0, 12.0, (size,))
+    camera = Poisson(full_well, bits=bits)
+    edges = np.linspace(0.0, float(prior.grid[-1]), nodes + 1)
+    centres, width = jnp.asarray((edges[1:] + edges[:-1]) / 2), edges[1]
+    density = np.interp(centres, prior.grid, prior.density)
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        def of_pixel(key: jax.Array, y: jax.Array) -> jax.Array:
+            logits = camera.log_prob(y, jnp.asarray(centres, y.dtype)) + np.log(density)
+            key_cell, key_place = jax.random.split(key)
+            cell = _drawn_cells(key_cell, logits, count)
+            return centres[cell] + width * (jax.random.uniform(key_place, (count,)) - 0.5)
+
+        return jax.vmap(of_pixel, out_axes=1)(jax.random.split(key, size), y)
+
+    likelihood = LinearLikelihood(Identity((size,)), camera)
+    return Known(likelihood, prior, exact, f"quadrature of {nodes} cells a pixel")
+
+
+def one_complex_pixel(sigma_0: float = 0.1, nodes: int = 400, reach: float = 1.6) -> Known:
+    """The intensity of one complex pixel, and a prior of three phases that it cannot tell apart.
+
+    By a quadrature in amplitude and phase, in cells of 0.004 and 0.016 rad: 3 and 8 % of the
+    prior's sd.
+    """
+    places = 0.75 * np.exp(1j * np.array([0.3, 2.5, -1.7]))
+    means = np.stack([places.real, places.imag], axis=1)
+    covariances = np.broadcast_to(0.15**2 * np.eye(2), (3, 2, 2))
+    prior = GaussianMixture(np.array([0.6, 0.3, 0.1]), means, covariances, (1,), complex)
+    likelihood = IntensityLikelihood(Identity((1,)), Poisson(round(1 / sigma_0**2)))
+    radius = (np.arange(nodes) + 0.5) * (reach / nodes)
+    angle = (np.arange(nodes) + 0.5) * (2 * np.pi / nodes)
+    cells = jnp.asarray(radius[:, None] * np.exp(1j * angle))
+    # Cells are as large as they are far from the origin.
+    area = jax.vmap(jax.vmap(prior.log_prob))(cells[..., None]) + np.log(radius)[:, None]
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        amplitudes = jnp.asarray(radius, prior.dtype)[:, None]
+        logits = jax.vmap(lambda o: likelihood.log_prob(o, y))(amplitudes)[:, None] + area
+        key_cell, key_place = jax.random.split(key)
+        cell = _drawn_cells(key_cell, logits.ravel(), count)
+        within = jax.random.uniform(key_place, (2, count)) - 0.5
+        r = jnp.asarray(radius)[cell // nodes] + within[0] * (reach / nodes)
+        phase = jnp.asarray(angle)[cell % nodes] + within[1] * (2 * np.pi / nodes)
+        return (r * jnp.exp(1j * phase))[:, None].astype(prior.dtype)
+
+    basis = f"quadrature of {nodes} amplitudes by {nodes} phases"
+    return Known(likelihood, prior, exact, basis, places[:, None])
+
+
+def two_pixel_retrieval(sigma_0: float = 0.25, proposals: int = 20_000) -> Known:
+    """Fourier magnitudes of two complex pixels: two twins, which the prior weighs 2 to 1.
+
+    By importance: draws of the prior, resampled by their likelihood; some hundred of 20,000 count.
+    """
+    twins = np.array([[0.55 + 0.2j, 0.25 - 0.3j], [0.25 + 0.3j, 0.55 - 0.2j]])
+    means = np.concatenate([twins.real, twins.imag], axis=1)
+    covariances = np.broadcast_to(0.1**2 * np.eye(4), (2, 4, 4))
+    prior = GaussianMixture(np.array([2.0, 1.0]) / 3, means, covariances, (2,), complex)
+    likelihood = IntensityLikelihood(Fourier((2,), oversampling=2), Poisson(round(1 / sigma_0**2)))
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        key_prior, key_chosen = jax.random.split(key)
+        objects = jax.vmap(prior.sample)(jax.random.split(key_prior, proposals))
+        logits = jax.vmap(lambda o: likelihood.log_prob(o, y))(objects)
+        return objects[_drawn_cells(key_chosen, logits, count)]
+
+    basis = f"importance sampling of {proposals} draws of the prior"
+    return Known(likelihood, prior, exact, basis, twins)
+
+
+GALLERY: dict[str, Callable[[], Known]] = {
+    "linear Gaussian": linear_gaussian,
+    "linear Gaussian, complex": lambda: linear_gaussian(dtype=complex, size=16, rows=12),
+    "linear Gaussian, 4 rows of 32": lambda: linear_gaussian(rows=4),
+    "field deblurring, 64 x 64": field_deblurring,
+    "mixture, 8 dimensions": mixture_linear,
+    "mixture, 80 dimensions": lambda: mixture_linear(size=80, rows=4),
+    "gamma and Poisson": gamma_poisson,
+    "Poisson at 4 bits": quantised_counts,
+    "complex pixel, sigma_0 0.05": lambda: one_complex_pixel(0.05),
+    "complex pixel, sigma_0 0.1": one_complex_pixel,
+    "complex pixel, sigma_0 0.3": lambda: one_complex_pixel(0.3),
+    "two-pixel phase retrieval": two_pixel_retrieval,
+}
+
+
+def _conditioned(
+    covariance: np.ndarray, matrix: np.ndarray, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and covariance of a Gaussian given a linear recording with white noise."""
+    rest = np.linalg.inv(np.linalg.inv(covariance) + matrix.T @ matrix / noise**2)
+    return rest @ matrix.T / noise**2, rest
+
+
+def _drawn_cells(key: jax.Array, logits: jax.Array, count: int) -> jax.Array:
+    """Indices (count,) of cells of these log-weights, with replacement."""
+    return jax.random.choice(key, len(logits), (count,), p=jax.nn.softmax(logits))

@@ -1,0 +1,90 @@
+"""Certificates: right for an exact sampler, a broken one, one that is stuck, one that refuses."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from posterior import samplers
+from posterior.diagnostics.campaign import Settings
+from posterior.diagnostics.certificate import as_table, certify, settings_of
+from posterior.models.gallery import linear_gaussian, mixture_linear, one_complex_pixel
+
+LINEAR = linear_gaussian(size=8, rows=6)
+MIXTURE = mixture_linear()
+
+
+def certified(sampler, known, simulations=40, **settings):
+    return certify(
+        sampler, {"it": known}, jax.random.key(0), simulations, progress=False, **settings
+    )["it"]
+
+
+def test_exact_draws_pass_at_the_noise_floor():
+    found = certified(lambda key, p: MIXTURE.exact(key, p.y, 200)[None], MIXTURE)
+    assert found.verdict.startswith("passes")
+    assert 0.8 < found.distance < 1.25
+    assert found.mode_error < 0.1
+
+
+def test_a_sampler_of_ten_lines_that_is_wrong_fails():
+    """Draws that are 1.4 times too narrow about their mean."""
+
+    def narrow(key, posterior):
+        draws = LINEAR.exact(key, posterior.y, 100)
+        mean = LINEAR.exact(key, posterior.y, 5000).mean(axis=0)
+        return (mean + (draws - mean) / 1.4)[None]
+
+    found = certified(narrow, LINEAR, 100)
+    assert found.verdict.startswith("fails") and found.distance > 1.2
+
+
+@pytest.mark.slow
+def test_chains_that_never_leave_their_mode_are_not_judged():
+    found = certified(samplers.MALA(), one_complex_pixel(0.1), 20)
+    assert found.verdict.startswith("cannot be judged")
+    assert "distance to a mode" in found.verdict and found.mode_error > 0.1
+
+
+def test_a_sampler_that_diverges_fails_and_one_that_refuses_does_not_apply():
+    assert "NaN" in certified(samplers.ULA(100.0), LINEAR, 20).verdict
+    found = certified(samplers.Ensemble(), LINEAR, 20)
+    assert found.verdict.startswith("does not apply: Ensemble (emcee) cannot be compiled")
+    assert found.calibration is None
+
+
+@pytest.fixture(scope="module")
+def table():
+    found = certified(lambda key, p: LINEAR.exact(key, p.y, 50)[None], LINEAR, 20)
+    refused = certified(samplers.Ensemble(), LINEAR, 20)
+    return {"exact": {"a": found}, "emcee": {"a": refused}}
+
+
+def test_the_table_has_a_row_for_each(table):
+    rows = as_table(table).splitlines()
+    assert len(rows) == 4
+    assert all(row.count("|") == rows[0].count("|") for row in rows)
+    assert "passes" in rows[2] and "does not apply" in rows[3]
+
+
+def test_its_numbers_are_json(table):
+    plain = json.loads(json.dumps({k: v["a"].as_dict() for k, v in table.items()}))
+    assert plain["exact"]["simulations"] == 20
+    assert set(plain["exact"]["calibration"]["squared norm"]) == {"p", "draws", "coverage"}
+    assert plain["emcee"]["calibration"] is None
+
+
+def test_settings_of_samplers_whose_draws_are_runs():
+    assert settings_of(samplers.AnnealedLangevin()) == Settings(20, 1, 0, 1)
+    assert settings_of(samplers.MALA()).chains == 4
+
+
+def test_an_interrupted_certificate_goes_on(tmp_path):
+    def exact(key, posterior):
+        return LINEAR.exact(key, posterior.y, 20)[None]
+
+    first = certified(exact, LINEAR, 20, folder=tmp_path)
+    again = certified(exact, LINEAR, 20, folder=tmp_path)
+    assert jnp.array_equal(first.calibration.ranks, again.calibration.ranks)
+    assert (tmp_path / "it" / "run.json").exists()

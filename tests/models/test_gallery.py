@@ -1,0 +1,83 @@
+"""The gallery's exact draws: calibrated, and equal to what others find."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import posterior as ps
+from known import grid_posterior
+from posterior import samplers
+from posterior.diagnostics import sbc
+from posterior.models.gallery import GALLERY, one_complex_pixel, quantised_counts
+
+QUICK = ("linear Gaussian, complex", "mixture, 8 dimensions")
+SLOW = tuple(name for name in GALLERY if name not in QUICK)
+
+
+@pytest.mark.parametrize(
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+)
+def test_exact_draws_are_calibrated(name):
+    """By the quantities that see 10 % of a temperature in 400 simulations (test_power.py)."""
+    known = GALLERY[name]()
+    problem = ps.Problem(known.likelihood, known.prior)
+    found = sbc(
+        problem, lambda key, p: known.exact(key, p.y, 50)[None], jax.random.key(0), 400,
+        progress=False,
+    )  # fmt: skip
+    assert found.verdict(alpha=0.001).startswith("passes"), found.verdict()
+
+
+def recorded(known):
+    problem = ps.Problem(known.likelihood, known.prior)
+    y = problem.simulate(jax.random.key(1))[1]
+    return problem.condition(y), y
+
+
+def test_one_pixel_agrees_with_a_grid_of_real_and_imaginary_parts(x64):
+    known = one_complex_pixel(0.1)
+    posterior, y = recorded(known)
+    draws = np.asarray(known.exact(jax.random.key(2), y, 10_000))[:, 0]
+    grid, weight = grid_posterior(posterior)
+    for f in (np.abs, np.real, np.imag, lambda o: np.abs(o) ** 4):
+        mean, square = np.sum(weight * f(grid)), np.sum(weight * f(grid) ** 2)
+        assert abs(f(draws).mean() - mean) < 4 * np.sqrt((square - mean**2) / len(draws))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["two-pixel phase retrieval", "mixture, 8 dimensions", "Poisson at 4 bits"]
+)
+def test_moments_agree_with_tempered_smc(x64, name):
+    """Populations of their own, whose means scatter by the Monte-Carlo error."""
+    known = GALLERY[name]()
+    posterior, y = recorded(known)
+    exact = np.asarray(known.exact(jax.random.key(2), y, 20_000)).reshape(20_000, -1)
+    run = ps.sample(
+        posterior, samplers.TemperedSMC(), jax.random.key(3), chains=16, draws=500, progress=False
+    )
+    means = np.abs(run.values.reshape(16, 500, -1)).mean(axis=1)
+    error = np.hypot(means.std(axis=0, ddof=1) / 4, np.abs(exact).std(axis=0) / np.sqrt(200))
+    z = (means.mean(axis=0) - np.abs(exact).mean(axis=0)) / error
+    assert np.abs(z).max() < 4.5
+
+
+def test_a_wider_code_leaves_more_open():
+    """One code of 16 is about six electrons wide: draws must fill it, and not its middle."""
+    known = quantised_counts()
+    draws = known.exact(jax.random.key(0), jnp.full(16, 3 / 15), 2000)
+    fine = quantised_counts(bits=8).exact(jax.random.key(0), jnp.full(16, 51 / 255), 2000)
+    assert draws.shape == (2000, 16) and float(draws.min()) > 0
+    assert draws.std() > 1.02 * fine.std()
+
+
+@pytest.mark.slow
+def test_modes_are_places_of_the_prior():
+    for build in GALLERY.values():
+        known = build()
+        if known.modes is not None:
+            assert known.modes.shape[1:] == known.prior.shape
+            at_modes = jax.vmap(known.prior.log_prob)(jnp.asarray(known.modes, known.prior.dtype))
+            drawn = jax.vmap(known.prior.sample)(jax.random.split(jax.random.key(0), 200))
+            assert at_modes.min() > np.quantile(jax.vmap(known.prior.log_prob)(drawn), 0.05)
