@@ -13,7 +13,7 @@ import scipy.fft
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
-_PART = 2**22  # numbers of a part
+_PART = 2**16  # numbers of a part: they stay in the processor's cache
 
 
 def rhat(values: np.ndarray) -> np.ndarray:

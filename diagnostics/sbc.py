@@ -14,8 +14,8 @@ from .quantities import Quantity, default_quantities
 from .ranks import randomised_ranks, thinned
 from .uniformity import holm, uniformity
 
-# Ranks among fewer draws than that tell truths apart too coarsely to call them right.
-_FEWEST = 10
+# An effective number below twice that is not known well enough to thin by.
+_FEWEST = 5
 
 
 class Calibration(NamedTuple):
@@ -50,9 +50,10 @@ class Calibration(NamedTuple):
         worst = min(p, key=p.__getitem__)
         coarse = int(np.argmin(self.effective))
         if self.effective[coarse] < _FEWEST:
+            few = self.effective[coarse]
             return (
-                f"cannot be judged: {self.effective[coarse]:.0f} independent draws of "
-                f"{self.names[coarse]} in a run, {_FEWEST} are needed: more draws, or thin them"
+                f"cannot be judged: {few:.0f} independent draws of {self.names[coarse]} in a run, "
+                f"{_FEWEST} are needed: take {np.ceil(10 * _FEWEST / few) / 10:g} times as many"
             )
         if p[worst] < alpha:
             failed = sum(value < alpha for value in p.values())

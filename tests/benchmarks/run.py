@@ -14,9 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from arviz_stats.base import array_stats
 
 import posterior as ps
 from posterior import diagnostics, models, samplers
+from posterior.models.gallery import linear_gaussian
 
 
 def best_of(repeats, function):
@@ -145,10 +147,65 @@ def memory():
         )
 
 
+def calibration_against_a_loop(size=64, rows=48, loop=10):
+    """SBC of 1000 simulations x 100 draws, beside a Python loop over BlackJAX's NUTS.
+
+    The loop does as packages for SBC do: each simulation has a log-density of its own data, and is
+    compiled. Its time is that of a few simulations, taken a thousand times.
+    """
+    known = linear_gaussian(size, rows)
+    problem = ps.Problem(known.likelihood, known.prior)
+    run = {"draws": 100, "warmup": 500, "progress": False}
+    began = time.perf_counter()
+    found = diagnostics.sbc(problem, samplers.MALA(), jax.random.key(0), 1000, thin=30, **run)
+    mine = time.perf_counter() - began
+    print(f"SBC, 1000 simulations of {size} dimensions: {mine:.0f} s; {found.verdict()}")
+
+    def by_blackjax(i):
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(0), i), 4)
+        x, y = problem.simulate(keys[0])
+        log_prob = problem.condition(y).log_prob
+        warmup = blackjax.window_adaptation(blackjax.nuts, log_prob)
+        (state, tuned), _ = warmup.run(keys[1], jnp.zeros(size), run["warmup"])
+        kernel = blackjax.nuts(log_prob, **tuned)
+
+        @jax.jit
+        def draw(state, key):
+            def move(state, key):
+                state, _ = kernel.step(key, state)
+                return state, state.position
+
+            return jax.lax.scan(move, state, jax.random.split(key, run["draws"]))[1]
+
+        return (draw(state, keys[2]) < x).sum(axis=0)
+
+    began = time.perf_counter()
+    jax.block_until_ready([by_blackjax(i) for i in range(loop)])
+    theirs = (time.perf_counter() - began) / loop * 1000
+    print(f"  a loop over BlackJAX: {theirs:.0f} s, ratio {theirs / mine:.0f}")
+
+
+def convergence_against_arviz():
+    """Maps of the effective sample size and R-hat, beside arviz-stats pixel by pixel."""
+    axes = {"chain_axis": 0, "draw_axis": 1}
+    rng = np.random.default_rng(0)
+    for chains, draws in ((1, 100), (4, 100), (4, 1000)):
+        x = rng.standard_normal((chains, draws, 1000))
+        pairs = {"ess": (diagnostics.ess, lambda x: array_stats.ess(x, **axes, method="bulk"))}
+        if chains > 1:
+            pairs["rhat"] = (diagnostics.rhat, lambda x: array_stats.rhat(x, **axes))
+        for name, (mine, theirs) in pairs.items():
+            ours = best_of(3, lambda f=mine, x=x: f(x))
+            one = best_of(3, lambda f=theirs, x=x: [f(x[..., i]) for i in range(1000)])
+            print(f"{name} of 1000 pixels, {chains} x {draws} draws: {one / ours:.1f} times faster")
+
+
 if __name__ == "__main__":
     if len(sys.argv) == 3:
         memory_case(int(sys.argv[1]), bool(int(sys.argv[2])))
     else:
         mala_against_blackjax()
         annealed_step_against_score()
+        calibration_against_a_loop()
+        convergence_against_arviz()
         memory()
