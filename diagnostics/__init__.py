@@ -5,6 +5,7 @@ from .certificate import Certificate, certify
 from .convergence import ess, mcse, rhat
 from .coverage import Coverage, coverage
 from .distance import noise_floor, sliced_wasserstein
+from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, psnr, ssim
 from .gauge import Gauge, align, gauge_to
 from .modes import Modes, modes
 from .predictive import misfit

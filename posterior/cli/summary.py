@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..diagnostics.convergence import ess, rhat
+from ..diagnostics.fidelity import psnr
 from ..diagnostics.gauge import align, gauge_to
 from ..diagnostics.modes import modes
 from ..diagnostics.plots import complex_maps
@@ -90,7 +91,7 @@ def _aligned(values: np.ndarray, optics: Optics, truth: np.ndarray | None) -> np
 def _psnr(estimate: np.ndarray, truth: np.ndarray) -> float:
     """In dB, the peak being 1, or the largest amplitude of a complex truth."""
     peak = np.abs(truth).max() if np.iscomplexobj(truth) else 1.0
-    return float(10 * np.log10(peak**2 / np.mean(np.abs(estimate - truth) ** 2)))
+    return psnr(estimate, truth, peak)
 
 
 def _coverages(values: np.ndarray, truth: np.ndarray) -> dict[str, float]:

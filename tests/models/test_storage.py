@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from skimage.restoration import denoise_tv_chambolle
 
+from posterior.diagnostics import psnr
 from posterior.estimators import anscombe_denoised
 from posterior.models import Poisson
 from posterior.models.priors import EnergyPrior, ScorePrior
@@ -156,10 +157,6 @@ def blobs(count, size=64):
             distance = np.hypot(rows - top, columns - left)
             picture[:] = np.maximum(picture, height / (1 + np.exp(2 * (distance - radius))))
     return pictures.astype(np.float32)
-
-
-def psnr(found, truth):
-    return -10 * np.log10(np.mean((found - truth) ** 2))
 
 
 @pytest.mark.parametrize("stem", shipped())

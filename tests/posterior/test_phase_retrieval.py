@@ -9,7 +9,7 @@ import pytest
 
 import posterior as ps
 from posterior import models, presets
-from posterior.diagnostics import align, spread_over_error
+from posterior.diagnostics import align, psnr, spread_over_error
 from posterior.estimators import hio
 
 pytestmark = [
@@ -37,10 +37,6 @@ def measured(picture, alpha, key):
     likelihood = models.IntensityLikelihood(optics, models.Poisson(full_well), irradiance)
     prior = models.ScorePrior.load("natural", picture.shape)
     return ps.Problem(likelihood, prior).condition(counts / full_well)
-
-
-def psnr(found, truth):
-    return -10 * np.log10(np.mean((found - truth) ** 2))
 
 
 @pytest.mark.parametrize("alpha", PRDEEP)

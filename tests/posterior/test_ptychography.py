@@ -9,7 +9,7 @@ import pytest
 
 import posterior as ps
 from posterior import models, presets
-from posterior.diagnostics import align, spread_over_error
+from posterior.diagnostics import align, phase_psnr, psnr, spread_over_error
 from posterior.estimators import default_start, maximum_likelihood
 
 pytestmark = [
@@ -45,12 +45,7 @@ def measured(truth, leds, sigma_0):
 
 
 def amplitude_psnr(found, truth):
-    return -10 * np.log10(np.mean((np.abs(found) - np.abs(truth)) ** 2))
-
-
-def phase_psnr(found, truth):
-    """Peak 2 pi, after alignment of the global phase."""
-    return -10 * np.log10(np.mean(np.angle(found * truth.conj()) ** 2) / (2 * np.pi) ** 2)
+    return psnr(np.abs(found), np.abs(truth))
 
 
 # Settings were looked at on the second of four objects; the others are without that.

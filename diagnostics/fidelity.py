@@ -1,0 +1,129 @@
+"""How near an estimate, or a set of draws, is to a truth that is known.
+
+None of these says whether a stated uncertainty is true: for that see `coverage` and `sbc`.
+"""
+
+import numpy as np
+import scipy.linalg
+import scoringrules
+from skimage.metrics import structural_similarity
+
+
+def psnr(found: np.ndarray, truth: np.ndarray, peak: float = 1.0) -> float:
+    """Peak signal-to-noise ratio in dB: 10 log10(peak^2 / mean |found - truth|^2); inf if equal.
+
+    Of one object, real or complex. Of an amplitude: give np.abs of both.
+    """
+    _same_shape(found, truth)
+    # Codes of a camera would wrap around.
+    apart = np.subtract(found, truth, dtype=np.result_type(found, truth, 0.0))
+    error = np.mean(np.abs(apart) ** 2)
+    return float(np.inf) if error == 0 else float(10 * np.log10(peak**2 / error))
+
+
+def phase_psnr(found: np.ndarray, truth: np.ndarray) -> float:
+    """PSNR in dB of the phase of a complex object, with the peak 2 pi (paper, section 4, footnote).
+
+    The error is periodic, and its mean square is that at the best global offset: the variance on
+    the circle, found exactly, by cutting the circle between any two phases. Raises ValueError for
+    real objects, whose phase is a sign.
+    """
+    _same_shape(found, truth)
+    if not (np.iscomplexobj(found) and np.iscomplexobj(truth)):
+        raise ValueError("a real object has no phase: give complex ones")
+    error = np.sort(np.angle(found * np.conj(truth)), axis=None).astype(float)
+    # Cut after the k-th phase: those before it are taken 2 pi further on.
+    count = np.arange(len(error))
+    before = np.concatenate([[0.0], np.cumsum(error)[:-1]])
+    mean = error.mean() + 2 * np.pi * count / len(error)
+    square = np.mean(error**2) + (4 * np.pi * before + 4 * np.pi**2 * count) / len(error)
+    # Rounding may leave a difference of equal numbers a little below 0.
+    variance = np.maximum(square - mean**2, 0.0).min()
+    return float(np.inf) if variance == 0 else float(10 * np.log10((2 * np.pi) ** 2 / variance))
+
+
+def nrmse(found: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square of the error over that of the truth; real or complex."""
+    _same_shape(found, truth)
+    return float(np.linalg.norm(np.ravel(found - truth)) / np.linalg.norm(np.ravel(truth)))
+
+
+def ssim(found: np.ndarray, truth: np.ndarray, peak: float = 1.0) -> float:
+    """Structural similarity of real pictures (h, w) or (h, w, 3) (Wang et al. 2004).
+
+    Gaussian windows of 1.5 pixels and population moments, as published; `peak` is the range of the
+    values.
+    """
+    _same_shape(found, truth)
+    if np.iscomplexobj(found) or np.iscomplexobj(truth):
+        raise ValueError("SSIM is for real pictures: give np.abs() of complex ones")
+    return float(
+        structural_similarity(
+            np.asarray(found, float), np.asarray(truth, float), data_range=peak,
+            channel_axis=-1 if np.ndim(truth) == 3 else None,
+            gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        )
+    )  # fmt: skip
+
+
+def crps(draws: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Continuous ranked probability score of each pixel: `truth`'s shape, in its unit; 0 is best.
+
+    `draws` (draws, *shape), real. Unbiased for so many draws ("fair", Ferro 2014), so that sets of
+    different size compare; for one draw it would be undefined. On average it is least for the true
+    posterior (Gneiting and Raftery 2007).
+    """
+    _check_draws(draws, truth)
+    return scoringrules.crps_ensemble(truth, np.asarray(draws), m_axis=0, estimator="fair")
+
+
+def energy_score(draws: np.ndarray, truth: np.ndarray) -> float:
+    """Energy score of whole objects: CRPS with the distance of objects; 0 is best.
+
+    `draws` (draws, *shape), real or complex; in the object's unit. It sees correlations, which CRPS
+    does not, if weakly. "Fair" as `crps`.
+    """
+    _check_draws(draws, truth, real=False)
+    flat = np.concatenate([np.asarray(truth)[None], np.asarray(draws)]).reshape(len(draws) + 1, -1)
+    flat = np.concatenate([flat.real, flat.imag], axis=1) if np.iscomplexobj(flat) else flat
+    return float(scoringrules.es_ensemble(flat[0], flat[1:], estimator="fair"))
+
+
+def frechet_distance(features: np.ndarray, others: np.ndarray) -> float:
+    """Frechet distance of two sets of features (n, d), each taken for normal.
+
+    |m - m'|^2 + tr(C + C' - 2 (C C')^(1/2)) (Dowson and Landau 1982). It depends on the features,
+    and is called FID only where they are Inception's. With n not much larger than d it is far from
+    0 for sets of one kind too: print it beside that.
+    """
+    sets = [np.asarray(s, dtype=float) for s in (features, others)]
+    if any(s.ndim != 2 or len(s) < 2 for s in sets) or sets[0].shape[1] != sets[1].shape[1]:
+        raise ValueError(
+            f"features of shape {sets[0].shape} and {sets[1].shape}: give (n, d), n of 2 or more"
+        )
+    covariances = [np.atleast_2d(np.cov(s.T)) for s in sets]
+    # The trace of the root of a product is that of a symmetric matrix, whose eigenvalues are real.
+    root = _root(covariances[0])
+    overlap = np.trace(_root(root @ covariances[1] @ root))
+    apart = np.sum((sets[0].mean(axis=0) - sets[1].mean(axis=0)) ** 2)
+    return float(apart + sum(np.trace(c) for c in covariances) - 2 * overlap)
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    values, vectors = scipy.linalg.eigh(matrix)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def _same_shape(found: np.ndarray, truth: np.ndarray) -> None:
+    if np.shape(found) != np.shape(truth):
+        raise ValueError(f"objects of shape {np.shape(found)} and {np.shape(truth)}: give one size")
+
+
+def _check_draws(draws: np.ndarray, truth: np.ndarray, real: bool = True) -> None:
+    if real and (np.iscomplexobj(draws) or np.iscomplexobj(truth)):
+        raise ValueError("complex draws have no ranks: give abs(), .real or .imag of them")
+    if np.shape(draws)[1:] != np.shape(truth) or len(draws) < 2:
+        raise ValueError(
+            f"draws of shape {np.shape(draws)} for a truth of {np.shape(truth)}: give "
+            "(draws, *shape), 2 draws or more"
+        )
