@@ -2,6 +2,7 @@
 
 from .campaign import Settings, Simulations, simulate
 from .certificate import Certificate, certify
+from .conformal import Repair, repair_intervals, widened
 from .convergence import ess, mcse, rhat
 from .coverage import Coverage, coverage
 from .distance import noise_floor, sliced_wasserstein

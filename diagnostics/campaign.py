@@ -82,7 +82,7 @@ def simulate(
             bar.update(task, completed=done)
             keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(done + jnp.arange(batch))
             new = _batch(problem, sampler, tuple(quantities.values()), settings, keys)
-            pieces.append(_finite(*new, done, names))
+            pieces.append(_ranked(*new, done, names))
             if store is not None:
                 store.save(np.asarray(done + batch), len(pieces), pieces[-1])
         bar.update(task, completed=count)
@@ -114,18 +114,19 @@ def _batch(
     return jax.vmap(one)(keys)
 
 
-def _finite(
+def _ranked(
     truths: jax.Array, draws: jax.Array, first: int, names: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
     truths, draws = np.asarray(truths), np.asarray(draws)
-    bad = ~(np.isfinite(truths) & np.isfinite(draws).all(axis=(1, 2)))
+    bad = np.isnan(truths) | np.isnan(draws).any(axis=(1, 2))
     if bad.any():
         i, q = np.argwhere(bad)[0]
         raise NonFiniteError(
-            f"simulation {first + i}: {names[q]} is NaN or infinite: the run diverged (a smaller "
-            "step), or the quantity is not finite for this object"
+            f"simulation {first + i}: {names[q]} is NaN: the run diverged (a smaller step), or the "
+            "quantity is not defined for this object"
         )
-    return {"truths": truths, "draws": draws}
+    # A density of 0 has a rank too: the lowest.
+    return {"truths": np.nan_to_num(truths), "draws": np.nan_to_num(draws)}
 
 
 def _named(sampler: Sampler | Drawer) -> object:

@@ -74,6 +74,16 @@ def test_the_folder_of_another_campaign_is_refused(tmp_path):
         simulated(4, settings=Settings(draws=7), folder=tmp_path / "c")
 
 
+def test_a_draw_that_the_prior_excludes_ranks_last():
+    def asked(x, y):
+        return jnp.where(x[0] > 0, -jnp.inf, x[0])
+
+    found = simulate(
+        CASE.problem, CASE.drawer(count=5), jax.random.key(0), 4, {"f": asked}, progress=False
+    )
+    assert np.isfinite(found.draws).all() and found.draws.min() < -1e30
+
+
 def test_a_run_that_diverges_is_named():
     def diverging(key, posterior):
         return jnp.full((1, 5, 6), jnp.nan)

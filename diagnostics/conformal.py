@@ -1,0 +1,107 @@
+"""Intervals widened until they hold on pictures whose truth is known, with a guarantee."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from .spread import interval
+
+
+class Repair(NamedTuple):
+    """Factor by which to widen intervals about the median, and what it guarantees.
+
+    With probability `confidence` over the `images` that it was found on, on average at most `miss`
+    of the pixels of new images lie outside. `before` and `after`: shares outside on those images.
+    """
+
+    factor: float
+    miss: float
+    confidence: float
+    images: int
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        return (
+            f"intervals {self.factor:.3g} times as wide: with {self.confidence:.0%} confidence at "
+            f"most {self.miss:.0%} of the pixels of images like these {self.images} lie outside, "
+            f"on average ({self.before:.1%} of these did, {self.after:.1%} do now)"
+        )
+
+
+def repair_intervals(
+    draws: np.ndarray, truths: np.ndarray, level: float = 0.9, confidence: float = 0.9
+) -> Repair:
+    """The smallest widening of the central `level` intervals that controls their misses.
+
+    `draws` (n, L, *shape) of n posteriors and their `truths` (n, *shape), real. Risk-controlling
+    prediction sets (Bates et al. 2021; for images Angelopoulos et al. 2022): the share of pixels
+    outside, image by image, has an upper confidence bound that follows its variance, and the factor
+    is about the least for which the bound is below 1 - `level`. It holds for
+    images exchangeable with these: of the same specimens, prior, optics and exposure. Pixels are
+    repaired on average, not each; draws are not repaired.
+    Raises ValueError for too few images: none outside would not be enough.
+    """
+    for name, value in (("level", level), ("confidence", confidence)):
+        if not 0 < value < 1:
+            raise ValueError(f"{name} {value}: it must lie between 0 and 1")
+    draws, truths = np.asarray(draws), np.asarray(truths)
+    if draws.ndim < 2 or draws.shape[:1] + draws.shape[2:] != truths.shape:
+        raise ValueError(
+            f"draws of shape {draws.shape} for truths of {truths.shape}: give (n, draws, ...) and "
+            "(n, ...)"
+        )
+    n, miss = len(truths), 1 - level
+    if not _controlled(np.zeros(n), miss, confidence):
+        sizes = itertools.count(n + 1)
+        needed = next(m for m in sizes if _controlled(np.zeros(m), miss, confidence))
+        raise ValueError(
+            f"{n} images cannot tell that {100 * miss:g} % or less lie outside, with "
+            f"{100 * confidence:g} % confidence: give {needed} or more"
+        )
+    needed = _needed_factors(draws, truths, level)
+    candidates = np.unique(needed)
+    # Shares outside fall as the factor grows, so that the least that is safe is found by halving.
+    low, high = 0, len(candidates) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if _controlled((needed > candidates[middle]).mean(axis=1), miss, confidence):
+            high = middle
+        else:
+            low = middle + 1
+    factor = float(candidates[low])
+    before, after = ((needed > f).mean() for f in (1.0, factor))
+    return Repair(factor, miss, confidence, n, float(before), float(after))
+
+
+def widened(values: np.ndarray, factor: float, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the central interval of draws (chains, draws, *shape), `factor` times as wide."""
+    low, high = interval(values, level)
+    middle = np.median(values, axis=(0, 1))
+    return middle - factor * (middle - low), middle + factor * (high - middle)
+
+
+def _needed_factors(draws: np.ndarray, truths: np.ndarray, level: float) -> np.ndarray:
+    """By what the interval of each pixel must be widened to hold its truth, (n, pixels)."""
+    low, middle, high = np.quantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=1)
+    side = np.where(truths > middle, high - middle, middle - low)
+    off = np.abs(truths - middle)
+    if np.any((side == 0) & (off > 0)):
+        raise ValueError("draws do not vary in some pixels: no factor widens an interval of 0")
+    return np.where(off > 0, off / np.where(side > 0, side, 1.0), 0.0).reshape(len(truths), -1)
+
+
+def _controlled(outside: np.ndarray, miss: float, confidence: float) -> bool:
+    """Whether the mean of numbers from 0 to 1 (n,) is below `miss`, with this confidence.
+
+    A bet against the mean being `miss`, whose stakes follow the variance so far: whoever wins more
+    than 1/(1 - confidence) times his capital was right so often (Waudby-Smith and Ramdas 2024).
+    """
+    n, count = len(outside), np.arange(1, len(outside) + 1)
+    mean = (0.5 + np.cumsum(outside)) / (1 + count)
+    variance = (0.25 + np.cumsum((outside - mean) ** 2)) / (1 + count)
+    known = np.concatenate([[0.25], variance[:-1]])
+    stake = np.minimum(1.0, np.sqrt(2 * np.log(1 / (1 - confidence)) / (n * known)))
+    capital = np.cumsum(np.log1p(-stake * (outside - miss)))
+    return bool(capital.max() >= np.log(1 / (1 - confidence)))
