@@ -31,14 +31,16 @@ class Certificate(NamedTuple):
     `verdict`: passes, fails, cannot be judged (`Calibration.verdict`), or does not apply, with the
     sampler's own reason. `distance`: sliced Wasserstein distance from as many exact draws, over
     that of two exact sets of that size, on average over 8 recordings: 1 is as good as exact and
-    independent. `mode_error`: the largest error of a mode's mass, on average over them; None where
-    the problem has one mode. `seconds` of the simulations, compilation included.
+    independent. `mode_error`: the largest error of a mode's mass, on average over them, and
+    `mode_floor` that of an exact set; None where the problem has one mode. `seconds` of the
+    simulations, compilation included.
     """
 
     verdict: str
     calibration: Calibration | None = None
     distance: float | None = None
     mode_error: float | None = None
+    mode_floor: float | None = None
     seconds: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -96,14 +98,15 @@ def as_table(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
     """Markdown: a row for each sampler and problem of {sampler: {problem: certificate}}."""
     rows = [
         "| sampler | problem | verdict | coverage of 50, 80, 95 % where worst "
-        "| distance over floor | error of modes | s |",
-        "|---|---|---|---|---|---|---|",
+        "| distance over floor | error of modes | its floor | s |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for sampler, by_problem in certificates.items():
         for problem, found in by_problem.items():
             cells = [sampler, problem, found.verdict, _worst_coverage(found)]
             cells += [_said(found.distance, ".2f"), _said(found.mode_error, ".2f")]
-            rows.append(f"| {' | '.join([*cells, _said(found.seconds, '.0f')])} |")
+            cells += [_said(found.mode_floor, ".2f"), _said(found.seconds, ".0f")]
+            rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"
 
 
@@ -139,12 +142,12 @@ def _certificate(
         np.mean([sliced_wasserstein(a, b, rng) for a, b in zip(part, exact)])
         for part in (draws, others)
     ]
-    mode_error = None
+    errors: tuple[float | None, float | None] = (None, None)
     if known.modes is not None:
-        masses = [_masses(part, known.modes) for part in (draws, exact)]
-        mode_error = float(np.abs(masses[0] - masses[1]).max(axis=1).mean())
+        masses, *beside = (_masses(part, known.modes) for part in (exact, draws, others))
+        errors = tuple(float(np.abs(m - masses).max(axis=1).mean()) for m in beside)
     distance = float(distances[0] / distances[1])
-    return Certificate(calibration.verdict(), calibration, distance, mode_error, seconds)
+    return Certificate(calibration.verdict(), calibration, distance, *errors, seconds)
 
 
 @eqx.filter_jit

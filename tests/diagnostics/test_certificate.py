@@ -25,7 +25,7 @@ def test_exact_draws_pass_at_the_noise_floor():
     found = certified(lambda key, p: MIXTURE.exact(key, p.y, 200)[None], MIXTURE)
     assert found.verdict.startswith("passes")
     assert 0.8 < found.distance < 1.25
-    assert found.mode_error < 0.1
+    assert 0.5 < found.mode_error / found.mode_floor < 2
 
 
 def test_a_sampler_of_ten_lines_that_is_wrong_fails():
