@@ -123,6 +123,8 @@ def _certificate(
     quantities, independent = default_quantities(problem), isinstance(sampler, RunSampler) or None
     if known.modes is not None:
         quantities["distance to a mode"] = DistanceTo(jnp.asarray(known.modes[0]))
+    if (reason := _refusal(problem, sampler, settings)) is not None:
+        return Certificate(f"does not apply: {reason}")
     try:
         calibration = sbc(
             problem, sampler, key, simulations, quantities=quantities, independent=independent,
@@ -130,8 +132,6 @@ def _certificate(
         )  # fmt: skip
     except NonFiniteError as error:
         return Certificate(f"fails: {error}")
-    except ValueError as error:
-        return Certificate(f"does not apply: {error}")
     seconds = time.perf_counter() - began
     keys = jax.random.split(jax.random.fold_in(key, 2**31 + 1), _RECORDINGS)
     draws, exact, others = (
@@ -150,23 +150,38 @@ def _certificate(
     return Certificate(calibration.verdict(), calibration, distance, *errors, seconds)
 
 
+def _refusal(problem: Problem, sampler: Sampler | Drawer, settings: Settings) -> str | None:
+    """Why the sampler would not run on this problem, found by a trace, or None."""
+
+    def traced(key: jax.Array) -> jax.Array:
+        posterior = problem.condition(problem.simulate(key)[1])
+        return _run(sampler, posterior, key, settings)
+
+    try:
+        eqx.filter_eval_shape(traced, jax.random.key(0))
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return None
+
+
+def _run(
+    sampler: Sampler | Drawer, posterior: Posterior, key: jax.Array, settings: Settings
+) -> jax.Array:
+    if isinstance(sampler, Sampler):
+        return whole_run(sampler, posterior, key, **settings._asdict())
+    return sampler(key, posterior)
+
+
 @eqx.filter_jit
 def _beside_exact(
     problem: Problem, exact: Any, sampler: Sampler | Drawer, settings: Settings, keys: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Draws (recordings, n, *shape) by the sampler, and two exact sets as large."""
 
-    def drawn(key: jax.Array, posterior: Posterior) -> jax.Array:
-        if isinstance(sampler, Sampler):
-            values = whole_run(sampler, posterior, key, **settings._asdict())
-        else:
-            values = sampler(key, posterior)
-        return values.reshape(-1, *posterior.shape)
-
     def one(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         keys = jax.random.split(key, 4)
         posterior = problem.condition(problem.simulate(keys[0])[1])
-        values = drawn(keys[1], posterior)
+        values = _run(sampler, posterior, keys[1], settings).reshape(-1, *posterior.shape)
         return values, *(exact(k, posterior.y, len(values)) for k in keys[2:])
 
     return jax.vmap(one)(keys)

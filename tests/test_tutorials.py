@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 import pytest
 
 TUTORIALS = sorted((Path(__file__).parents[1] / "tutorials").glob("*.py"))
-# Those with networks take minutes: the study runs them.
+# The others take up to minutes: the study runs them.
 RUNS = [
-    pytest.param(path, marks=[] if path.stem.startswith("01") else [pytest.mark.slow])
+    pytest.param(path, marks=[] if path.stem.startswith("06") else [pytest.mark.slow])
     for path in TUTORIALS
 ]
 

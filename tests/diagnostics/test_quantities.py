@@ -19,8 +19,14 @@ def denoising(shape, dtype=float):
     return ps.Problem(models.LinearLikelihood(models.Identity(shape), models.Gaussian(0.3)), prior)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize(
+    "shape, dtype",
+    [
+        *((shape, float) for shape in SHAPES),
+        ((8, 6), complex),
+        pytest.param((9, 8, 3), complex, marks=pytest.mark.slow),
+    ],
+)
 def test_each_is_what_its_name_says(x64, shape, dtype):
     problem = denoising(shape, dtype)
     x, y = (np.asarray(a) for a in problem.simulate(jax.random.key(0)))

@@ -23,7 +23,9 @@ def calibrated(case, sampler, simulations=100, key=0, **settings):
     return sbc(case.problem, sampler, jax.random.key(key), simulations, progress=False, **settings)
 
 
-@pytest.mark.parametrize("case", [CASE, MixtureCase()], ids=["gaussian", "mixture"])
+@pytest.mark.parametrize(
+    "case", [CASE, pytest.param(MixtureCase(), marks=pytest.mark.slow)], ids=["gaussian", "mixture"]
+)
 def test_exact_draws_pass(case):
     found = calibrated(case, EXACT if case is CASE else case.drawer(), 200)
     assert found.verdict(alpha=0.001).startswith("passes")

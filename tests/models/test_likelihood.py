@@ -65,7 +65,11 @@ def case(name):
     return likelihood, x.astype(jnp.complex128 if jnp.iscomplexobj(x) else jnp.float64)
 
 
-@pytest.mark.parametrize("name", CASES)
+# Every electron that a reading may come from: twice as dear as all others, and in test_camera too.
+EACH = [pytest.param(n, marks=[pytest.mark.slow] if "read noise" in n else []) for n in CASES]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_score_against_finite_differences(x64, name):
     likelihood, x = case(name)
     y = likelihood.simulate(jax.random.key(1), x)
@@ -77,7 +81,7 @@ def test_score_against_finite_differences(x64, name):
     np.testing.assert_allclose(found, expected, atol=1e-5 * max(1.0, np.abs(found).max()))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", EACH)
 def test_score_has_mean_zero_and_variance_fisher(x64, name):
     """E[score] = 0 and E[score_i^2] = -E[d score_i/dx_i], under the likelihood's own simulator."""
     likelihood, x = case(name)

@@ -62,6 +62,7 @@ def test_annealed_langevin_on_one_pixel(x64):
     assert mass_error < 0.05
 
 
+@pytest.mark.slow
 def test_the_printed_equation_is_too_wide_on_one_pixel(x64):
     sampler = samplers.AnnealedLangevin(levels=200, published=True)
     ratio, _ = ring_errors(one_pixel(0.1), sampler)

@@ -272,6 +272,7 @@ def test_a_calibration_to_start_from_is_where_it_starts(measured):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_each_led_has_its_own_dispersion():
     """An electron counted four times has four times the variance; every other LED does so.
 

@@ -89,7 +89,7 @@ def stripes(count=6, size=16):
     return list(picture[..., None].astype("f4"))
 
 
-@pytest.mark.parametrize("kind", ["score", "energy"])
+@pytest.mark.parametrize("kind", ["score", pytest.param("energy", marks=pytest.mark.slow)])
 def test_training_goes_on_bit_for_bit(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(training, "_SAVE_SECONDS", 0.0)
     recipe = Recipe(kind, steps=6, batch=2, size=8)

@@ -25,7 +25,7 @@ def test_a_gaussian_prior_gives_the_wiener_filter(x64, dtype):
     np.testing.assert_allclose(estimators.mmse(post), expected, rtol=1e-10)
 
 
-@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("dtype", [pytest.param(float, marks=pytest.mark.slow), complex])
 def test_draws_average_to_it(x64, dtype):
     """A prior of two far modes: the mean lies between them, where no draw does."""
     size = 2 if dtype is complex else 1

@@ -37,7 +37,7 @@ def lowpass(size, radius):
 # ---- closed forms --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("dtype", [pytest.param(float, marks=pytest.mark.slow), complex])
 def test_the_maximum_of_a_linear_gaussian_posterior_is_its_mean(x64, dtype):
     posterior, mean, _ = linear_gaussian(5, 4, dtype)
     found = maximum_posterior(posterior, tolerance=1e-12)
