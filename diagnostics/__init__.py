@@ -9,7 +9,7 @@ from .distance import noise_floor, sliced_wasserstein
 from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, psnr, ssim
 from .gauge import Gauge, align, gauge_to
 from .modes import Modes, modes
-from .predictive import misfit
+from .predictive import misfit, predicted, predictive_ranks
 from .quantities import default_quantities
 from .rank_plot import plot_ranks
 from .ranks import randomised_ranks, thinned

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..models.likelihood import Likelihood
+from .ranks import randomised_ranks
 
 
 def misfit(likelihood: Likelihood, y: np.ndarray, draws: np.ndarray) -> float:
@@ -19,6 +20,35 @@ def misfit(likelihood: Likelihood, y: np.ndarray, draws: np.ndarray) -> float:
     below the ADC's; nan if none is left.
     """
     return float(np.mean([_misfit_of(likelihood, jnp.asarray(y), jnp.asarray(o)) for o in draws]))
+
+
+def predicted(likelihood: Likelihood, draws: np.ndarray, key: jax.Array) -> np.ndarray:
+    """A recording (L, *data_shape) of each of the draws (L, *shape): the posterior predictive."""
+    keys = jax.random.split(key, len(draws))
+    return np.asarray(_recorded(likelihood, jnp.asarray(draws), keys))
+
+
+def predictive_ranks(
+    likelihood: Likelihood, second: np.ndarray, draws: np.ndarray, key: jax.Array
+) -> np.ndarray:
+    """Where each pixel of a second exposure lies among those that the draws predict, in (0, 1).
+
+    `draws` (L, *shape) of the posterior given the first exposure; `second`, of the likelihood's
+    data shape, of the same object under the same optics and camera. If object and noise are as
+    believed each rank is uniform: the probability integral transform of counts, made continuous at
+    random (Czado, Gneiting and Held 2009). Pixels share the draws: test one a recording
+    (`uniformity`), or their share in the tails by image. Ranks of the first exposure itself crowd
+    in the middle, for the draws have seen it. Complex recordings have no ranks: raises ValueError.
+    """
+    key_predicted, key_ties = jax.random.split(key)
+    others = predicted(likelihood, draws, key_predicted)
+    seed = np.asarray(jax.random.key_data(key_ties))
+    return randomised_ranks(np.asarray(second)[None], others[None], np.random.default_rng(seed))[0]
+
+
+@jax.jit
+def _recorded(likelihood: Likelihood, draws: jax.Array, keys: jax.Array) -> jax.Array:
+    return jax.vmap(likelihood.simulate)(keys, draws)
 
 
 @jax.jit

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from posterior import models
-from posterior.diagnostics import misfit
+from posterior.diagnostics import misfit, predicted, predictive_ranks, uniformity
+from posterior.models.gallery import gamma_poisson
 
 SIDE, DRAWS, RECORDINGS = 256, 2, 50
 
@@ -87,3 +88,40 @@ def test_dark_and_saturated_pixels_do_not_count(x64, camera):
 def test_nothing_is_said_where_all_is_saturated():
     likelihood = models.LinearLikelihood(models.Identity((2,)), models.Poisson(4))
     assert np.isnan(misfit(likelihood, np.ones(2), np.full((1, 2), 50.0)))
+
+
+# ---- a second exposure ---------------------------------------------------------------------------
+
+KNOWN = gamma_poisson(size=400)
+
+
+def exposures(noise_as_believed=True):
+    """Ranks of first and second exposure of 400 pixels, independent of each other, 49 draws."""
+    keys = jax.random.split(jax.random.key(2), 5)
+    x = KNOWN.prior.sample(keys[0])
+    first = KNOWN.likelihood.simulate(keys[1], x)
+    # Three electrons of read noise beside seven photons.
+    camera = KNOWN.likelihood.camera if noise_as_believed else models.PoissonGaussian(50, 3.0)
+    second = models.LinearLikelihood(KNOWN.likelihood.optics, camera).simulate(keys[2], x)
+    draws = KNOWN.exact(keys[3], first, 49)
+    return [predictive_ranks(KNOWN.likelihood, y, draws, keys[4]) for y in (first, second)]
+
+
+def test_a_second_exposure_is_one_more_prediction():
+    first, second = exposures()
+    assert uniformity(second) > 0.001
+    # What the draws have seen lies in the middle of what they predict.
+    assert uniformity(first) < 1e-6 and first.std() < second.std()
+
+
+def test_noise_that_is_not_as_believed_is_caught_by_a_second_exposure():
+    assert uniformity(exposures(noise_as_believed=False)[1]) < 1e-4
+
+
+def test_predictions_are_recordings_of_the_draws():
+    draws = np.array([np.full(400, 0.1), np.full(400, 0.4)])
+    found = predicted(KNOWN.likelihood, draws, jax.random.key(0))
+    assert found.shape == (2, 400)
+    np.testing.assert_allclose(found * 50, np.round(found * 50), atol=1e-4)
+    error = np.sqrt(draws[:, 0] / 50 / 400)
+    assert np.all(np.abs(found.mean(axis=1) - draws[:, 0]) < 4 * error)
