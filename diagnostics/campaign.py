@@ -1,6 +1,7 @@
 """Simulations by the hundred: an object, its recording, draws given it; in compiled batches."""
 
 import os
+import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from rich.progress import Progress
 from ..checkpoint import Checkpoint, fingerprint
 from ..problem import Posterior, Problem
 from ..samplers.base import Sampler
+from ..samplers.checks import check_run
 from ..sampling import NonFiniteError
 from ..whole_run import whole_run
 from .quantities import Quantity
@@ -34,12 +36,14 @@ class Settings(NamedTuple):
 class Simulations(NamedTuple):
     """Quantities of the truths (n, Q), and of the draws given their recordings.
 
-    `draws` is (n, chains, draws, Q); `names` are those of the Q quantities.
+    `draws` is (n, chains, draws, Q); `names` are those of the Q quantities. `seconds`: of all
+    batches, whichever process ran them, compilation included.
     """
 
     names: tuple[str, ...]
     truths: np.ndarray
     draws: np.ndarray
+    seconds: float
 
 
 def simulate(
@@ -60,40 +64,56 @@ def simulate(
     `settings` are not used. Simulation i depends on `fold_in(key, i)` alone, so that more of them
     go on where fewer ended. Only the quantities are held. `batch` of them run at a time: memory and
     speed, not results, beyond rounding. `folder`: killed at any moment, a campaign goes on from
-    there and repeats nothing but the batch that was running.
-    Raises ValueError for bad settings and a folder of another campaign, NonFiniteError with the
-    number of the simulation that diverged.
+    there and repeats nothing but the batch that was running. It belongs to what is computed, the
+    constants of functions included.
+    Raises ValueError for bad settings, quantities that are no real scalars or not defined for an
+    object, draws of another shape and a folder of another campaign; NonFiniteError with the number
+    of the simulation whose run diverged.
     """
     for name, value in (("count", count), ("batch", batch)):
         if int(value) != value or value < 1:
             raise ValueError(f"{name} {value}: give a whole number, 1 or more")
     if not quantities:
         raise ValueError("no quantities: give {name: f(x, y)}, one or more")
+    check_run(settings.chains, settings.draws, settings.thin, settings.warmup)
     names, store = tuple(quantities), None
     pieces: list[dict[str, np.ndarray]] = []
+
+    def arguments(done: int) -> tuple:
+        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(done + jnp.arange(batch))
+        return problem, sampler, names, tuple(quantities.values()), settings, keys
+
     if folder is not None:
-        parts = (names, _named(sampler), problem, key, tuple(settings), batch)
-        store = Checkpoint(folder, fingerprint(*parts))
+        program = _batch.lower(*arguments(0)).as_text()
+        parts = (names, program, problem, quantities, key, batch)
+        own = sampler if isinstance(sampler, Sampler) else None
+        store = Checkpoint(folder, fingerprint(*parts, own))
         found = store.load(np.asarray(0))
         pieces = store.shards(found[1]) if found else []
     with Progress(disable=not progress) as bar:
         task = bar.add_task("simulations", total=count)
         while (done := batch * len(pieces)) < count:
             bar.update(task, completed=done)
-            keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(done + jnp.arange(batch))
-            new = _batch(problem, sampler, tuple(quantities.values()), settings, keys)
-            pieces.append(_ranked(*new, done, names))
+            began = time.perf_counter()
+            truths, draws = (np.asarray(a) for a in _batch(*arguments(done)))
+            seconds = np.asarray(time.perf_counter() - began)
+            pieces.append({"truths": truths, "draws": draws, "seconds": seconds})
+            _refuse_nan(truths[: count - done], draws[: count - done], done, names)
             if store is not None:
                 store.save(np.asarray(done + batch), len(pieces), pieces[-1])
         bar.update(task, completed=count)
     truths, draws = (np.concatenate([p[k] for p in pieces])[:count] for k in ("truths", "draws"))
-    return Simulations(names, truths, draws)
+    _refuse_nan(truths, draws, 0, names)
+    seconds = float(sum(p["seconds"] for p in pieces))
+    # A density of 0 has a rank too: the lowest.
+    return Simulations(names, np.nan_to_num(truths), np.nan_to_num(draws), seconds)
 
 
 @eqx.filter_jit
 def _batch(
     problem: Problem,
     sampler: Sampler | Drawer,
+    names: tuple[str, ...],
     quantities: tuple[Quantity, ...],
     settings: Settings,
     keys: jax.Array,
@@ -104,33 +124,34 @@ def _batch(
         posterior = problem.condition(y)
 
         def asked(x: jax.Array) -> jax.Array:
-            return jnp.stack([f(x, posterior.y) for f in quantities])
+            found = [f(x, posterior.y) for f in quantities]
+            for name, value in zip(names, found):
+                if jnp.shape(value) != () or jnp.iscomplexobj(value):
+                    raise ValueError(f"{name} is no real number (f(x, y) gives {value}): give one")
+            return jnp.stack(found)
 
         if isinstance(sampler, Sampler):
             run = settings._asdict()
             return asked(x), whole_run(sampler, posterior, key_run, **run, record=asked)
-        return asked(x), jax.vmap(jax.vmap(asked))(sampler(key_run, posterior))
+        draws = sampler(key_run, posterior)
+        if draws.ndim < 2 or draws.shape[2:] != posterior.shape:
+            raise ValueError(
+                f"the sampler gives draws of shape {draws.shape}: give (chains, draws, "
+                f"*{posterior.shape})"
+            )
+        return asked(x), jax.vmap(jax.vmap(asked))(draws)
 
     return jax.vmap(one)(keys)
 
 
-def _ranked(
-    truths: jax.Array, draws: jax.Array, first: int, names: tuple[str, ...]
-) -> dict[str, np.ndarray]:
-    truths, draws = np.asarray(truths), np.asarray(draws)
-    bad = np.isnan(truths) | np.isnan(draws).any(axis=(1, 2))
-    if bad.any():
-        i, q = np.argwhere(bad)[0]
-        raise NonFiniteError(
-            f"simulation {first + i}: {names[q]} is NaN: the run diverged (a smaller step), or the "
-            "quantity is not defined for this object"
+def _refuse_nan(truths: np.ndarray, draws: np.ndarray, first: int, names: tuple[str, ...]) -> None:
+    for i, q in np.argwhere(np.isnan(truths)):
+        raise ValueError(
+            f"simulation {first + i}: {names[q]} of the object itself is NaN: give quantities that "
+            "are defined for every object and recording"
         )
-    # A density of 0 has a rank too: the lowest.
-    return {"truths": np.nan_to_num(truths), "draws": np.nan_to_num(draws)}
-
-
-def _named(sampler: Sampler | Drawer) -> object:
-    """What tells samplers apart in another process too: a function, by its name."""
-    if isinstance(sampler, Sampler):
-        return (repr(sampler), sampler)
-    return getattr(sampler, "__qualname__", type(sampler).__qualname__)
+    for i, q in np.argwhere(np.isnan(draws).any(axis=(1, 2))):
+        raise NonFiniteError(
+            f"simulation {first + i}: {names[q]} of a draw is NaN: the run diverged, give the "
+            "sampler a smaller step"
+        )

@@ -1,7 +1,6 @@
 """A sampler's certificate: its verdict on each problem of the gallery, and the figures behind."""
 
 import os
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,6 +66,7 @@ def certify(
     simulations: int = 200,
     *,
     settings: Settings | None = None,
+    alpha: float = 0.05,
     folder: str | os.PathLike | None = None,
     progress: bool = True,
 ) -> dict[str, Certificate]:
@@ -74,8 +74,9 @@ def certify(
 
     `sampler`: one of `posterior.samplers`, or a function (key, posterior) -> (chains, draws,
     *shape) of independent draws, traceable by JAX. `settings`: of a run; None: `settings_of` it.
-    `key` None: key 0. `folder`: the simulations of each problem are kept there, and a certificate
-    that was interrupted goes on.
+    `key` None: key 0. `alpha`: with that probability at most an exact sampler fails on any of the
+    problems, each being tested at its share. `folder`: the simulations of each problem are kept
+    there, and a certificate that was interrupted goes on.
     """
     key = jax.random.key(0) if key is None else key
     problems = {name: build() for name, build in GALLERY.items()} if problems is None else problems
@@ -83,7 +84,10 @@ def certify(
     found = {}
     for name, known in problems.items():
         place = None if folder is None else Path(folder) / _file_name(name)
-        found[name] = _certificate(sampler, known, key, simulations, settings, place, progress)
+        share = alpha / len(problems)
+        found[name] = _certificate(
+            sampler, known, key, simulations, settings, share, place, progress
+        )
     return found
 
 
@@ -116,10 +120,11 @@ def _certificate(
     key: jax.Array,
     simulations: int,
     settings: Settings,
+    alpha: float,
     folder: Path | None,
     progress: bool,
 ) -> Certificate:
-    problem, began = Problem(known.likelihood, known.prior), time.perf_counter()
+    problem = Problem(known.likelihood, known.prior)
     quantities, independent = default_quantities(problem), isinstance(sampler, RunSampler) or None
     if known.modes is not None:
         quantities["distance to a mode"] = DistanceTo(jnp.asarray(known.modes[0]))
@@ -132,11 +137,14 @@ def _certificate(
         )  # fmt: skip
     except NonFiniteError as error:
         return Certificate(f"fails: {error}")
-    seconds = time.perf_counter() - began
     keys = jax.random.split(jax.random.fold_in(key, 2**31 + 1), _RECORDINGS)
     draws, exact, others = (
         np.asarray(part) for part in _beside_exact(problem, known.exact, sampler, settings, keys)
     )
+    if not np.all(np.isfinite(draws)):
+        lost = int(np.sum(~np.isfinite(draws.reshape(len(draws), -1)).all(axis=1)))
+        verdict = f"fails: draws of {lost} in {_RECORDINGS} recordings are not finite"
+        return Certificate(verdict, calibration, seconds=calibration.seconds)
     rng = np.random.default_rng(0)
     distances = [
         np.mean([sliced_wasserstein(a, b, rng) for a, b in zip(part, exact)])
@@ -147,7 +155,8 @@ def _certificate(
         masses, *beside = (_masses(part, known.modes) for part in (exact, draws, others))
         errors = tuple(float(np.abs(m - masses).max(axis=1).mean()) for m in beside)
     distance = float(distances[0] / distances[1])
-    return Certificate(calibration.verdict(), calibration, distance, *errors, seconds)
+    verdict = calibration.verdict(alpha)
+    return Certificate(verdict, calibration, distance, *errors, calibration.seconds)
 
 
 def _refusal(problem: Problem, sampler: Sampler | Drawer, settings: Settings) -> str | None:

@@ -5,17 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .ranks import check_beside
 from .spread import interval
 
 
 class Repair(NamedTuple):
-    """Factor by which to widen intervals about the median, and what it guarantees.
+    """Factor by which to widen the central `level` intervals about the median, and its guarantee.
 
     With probability `confidence` over the `images` that it was found on, on average at most `miss`
     of the pixels of new images lie outside. `before` and `after`: shares outside on those images.
     """
 
     factor: float
+    level: float
     miss: float
     confidence: float
     images: int
@@ -47,11 +49,7 @@ def repair_intervals(
         if not 0 < value < 1:
             raise ValueError(f"{name} {value}: it must lie between 0 and 1")
     draws, truths = np.asarray(draws), np.asarray(truths)
-    if draws.ndim < 2 or draws.shape[:1] + draws.shape[2:] != truths.shape:
-        raise ValueError(
-            f"draws of shape {draws.shape} for truths of {truths.shape}: give (n, draws, ...) and "
-            "(n, ...)"
-        )
+    check_beside(truths, draws)
     n, miss = len(truths), 1 - level
     if not _controlled(np.zeros(n), miss, confidence):
         sizes = itertools.count(n + 1)
@@ -62,7 +60,8 @@ def repair_intervals(
         )
     needed = _needed_factors(draws, truths, level)
     candidates = np.unique(needed)
-    # Shares outside fall as the factor grows, so that the least that is safe is found by halving.
+    # Shares outside fall as the factor grows, and with them, nearly always, goes the bet: the
+    # factor found by halving is safe, and about the least.
     low, high = 0, len(candidates) - 1
     while low < high:
         middle = (low + high) // 2
@@ -72,14 +71,14 @@ def repair_intervals(
             low = middle + 1
     factor = float(candidates[low])
     before, after = ((needed > f).mean() for f in (1.0, factor))
-    return Repair(factor, miss, confidence, n, float(before), float(after))
+    return Repair(factor, level, miss, confidence, n, float(before), float(after))
 
 
-def widened(values: np.ndarray, factor: float, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the central interval of draws (chains, draws, *shape), `factor` times as wide."""
-    low, high = interval(values, level)
+def widened(values: np.ndarray, repair: Repair) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the repaired intervals of draws (chains, draws, *shape), in the draws' unit."""
+    low, high = interval(values, repair.level)
     middle = np.median(values, axis=(0, 1))
-    return middle - factor * (middle - low), middle + factor * (high - middle)
+    return middle - repair.factor * (middle - low), middle + repair.factor * (high - middle)
 
 
 def _needed_factors(draws: np.ndarray, truths: np.ndarray, level: float) -> np.ndarray:

@@ -65,7 +65,8 @@ class DistanceToEstimate(eqx.Module):
 
     def __call__(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """A real scalar."""
-        return _energy(x - default_start(self.likelihood, y).astype(x.dtype))
+        start = default_start(self.likelihood, y)
+        return _energy(x - (start if jnp.iscomplexobj(x) else start.real))
 
 
 class DistanceTo(eqx.Module):
@@ -138,7 +139,7 @@ def default_quantities(problem: Problem) -> dict[str, Quantity]:
     Of the recording: log-likelihood, and for linear optics the distance to c H^H y. Of the object:
     log-prior and log-posterior where the prior has a density, squared norm, means of halves or
     quarters, energies of three Fourier rings and of Haar wavelets of up to three scales. Those of
-    complex objects do not see a global phase, the densities apart.
+    complex objects do not see a global phase, the densities and the distance apart.
     """
     likelihood, prior, shape = problem.likelihood, problem.prior, problem.prior.shape
     # Colours are no place: a third axis is left alone.

@@ -20,7 +20,7 @@ def randomised_ranks(
     and no draws.
     """
     truths, draws = np.asarray(truths), np.asarray(draws)
-    _check(truths, draws)
+    check_beside(truths, draws)
     kept = np.ones(draws.shape, bool) if kept is None else kept
     size = kept.sum(axis=1)
     if not np.all(size):
@@ -47,7 +47,8 @@ def thinned(values: np.ndarray) -> np.ndarray:
     return np.broadcast_to(chosen[:, None], values.shape)
 
 
-def _check(truths: np.ndarray, draws: np.ndarray) -> None:
+def check_beside(truths: np.ndarray, draws: np.ndarray) -> None:
+    """Refuse draws (n, L, ...) and truths (n, ...) that do not fit, are complex or not finite."""
     if np.iscomplexobj(truths) or np.iscomplexobj(draws):
         raise ValueError("complex values have no ranks: give abs(), .real or .imag of them")
     if draws.ndim < 2 or draws.shape[:1] + draws.shape[2:] != truths.shape:

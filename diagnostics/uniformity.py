@@ -36,6 +36,8 @@ def bands(n: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """
     if n < 1 or not 0 < level < 1:
         raise ValueError(f"n {n}, level {level}: give n of 1 or more, a level between 0 and 1")
+    if n == 1:
+        return _limits(1 - level, n)
     local = np.exp(
         brentq(
             lambda log_local: _any_outside(np.exp(log_local), n) - (1 - level),

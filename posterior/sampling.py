@@ -16,6 +16,7 @@ from .draws import Draws, versions
 from .problem import Posterior
 from .samplers import Ensemble
 from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
+from .samplers.checks import check_run
 
 _CHUNK_SECONDS = 2.0
 _BUFFER_BYTES = 64 * 2**20
@@ -51,16 +52,12 @@ def sample(
     Same key, same draws; chain i depends on `fold_in(key, i)` alone, adaptation apart, which is
     pooled. Raises ValueError on bad settings before any work, NonFiniteError if a chain diverges.
     """
-    for name, value, least in (("chains", chains, 1), ("draws", draws, 1), ("thin", thin, 1)):
-        if int(value) != value or value < least:
-            raise ValueError(f"{name} {value}: give a whole number, {least} or more")
+    check_run(chains, draws, thin, warmup)
     if not isinstance(posterior, Posterior):
         raise ValueError(f"posterior is a {type(posterior).__name__}: use problem.condition(y)")
     if not isinstance(sampler, Sampler):
         raise ValueError(f"sampler is a {type(sampler).__name__}: use one of posterior.samplers")
     warmup = sampler.default_warmup() if warmup is None else warmup
-    if int(warmup) != warmup or warmup < 0:
-        raise ValueError(f"warmup {warmup}: give a whole number, 0 or more")
     start = _checked_start(start, posterior, chains)
     # No chain has this key.
     sampler.check(jax.random.fold_in(key, 2**31), posterior, None if start is None else start[0])

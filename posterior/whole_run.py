@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from .problem import Posterior
 from .samplers import Ensemble
 from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
+from .samplers.checks import check_run
 
 
 def whole_run(
@@ -28,8 +29,10 @@ def whole_run(
     As `sample`, without progress, checkpoints, checks, or a start of one's own; traceable, so that
     `jax.vmap` runs it on many posteriors at once. Chains that diverge give NaN. `record`: a
     function of one object; what it returns is all that is held.
-    Raises ValueError for `Ensemble`, which is not written in JAX.
+    Raises ValueError for lengths that are no whole numbers, and for `Ensemble`, which is not
+    written in JAX.
     """
+    check_run(chains, draws, thin, warmup)
     if isinstance(sampler, Ensemble):
         raise ValueError("Ensemble (emcee) cannot be compiled: take another sampler, or `sample`")
     warmup = sampler.default_warmup() if warmup is None else warmup

@@ -16,6 +16,8 @@ from ..problem import Problem
 from ..samplers import Sampler
 from .options import Quiet
 
+# Of a right sampler to fail on any of the problems.
+_ALPHA = 0.05
 _DEFAULT = ("mala", "nuts", "smc", "annealed", "split-gibbs")
 
 
@@ -47,6 +49,7 @@ def command(
             one = {about: known}
             found[name] |= certify(
                 _built(name, known), one, key, simulations,
+                alpha=_ALPHA / len(problems),
                 folder=out / "simulations" / name, progress=not quiet,
             )  # fmt: skip
             # After each, so that what is done can be read while the rest goes on.

@@ -98,7 +98,9 @@ def default_start(likelihood: Likelihood, y: ArrayLike) -> jax.Array:
     if isinstance(likelihood, LinearLikelihood):
         back = optics.adjoint(jnp.asarray(y))
         seen = optics(back)
-        scale = jnp.vdot(seen, jnp.asarray(y)).real / jnp.vdot(seen, seen).real
+        energy = jnp.vdot(seen, seen).real
+        # A dark recording suggests a dark object.
+        scale = jnp.vdot(seen, jnp.asarray(y)).real / jnp.where(energy > 0, energy, 1.0)
         return back * scale.astype(back.dtype)
     if isinstance(likelihood, IntensityLikelihood) and isinstance(optics, FourierPtychography):
         return _bright_field(likelihood, optics, y)

@@ -22,6 +22,14 @@ def check_at_least(*settings: tuple[str, int, int]) -> None:
             raise ValueError(f"{name} {value}: give {least} or more")
 
 
+def check_run(chains: int, draws: int, thin: int, warmup: int | None) -> None:
+    """Refuse lengths of a run that are no whole numbers, or too small; None: a default."""
+    lengths = (("chains", chains, 1), ("draws", draws, 1), ("thin", thin, 1), ("warmup", warmup, 0))
+    for name, value, least in lengths:
+        if value is not None and (int(value) != value or value < least):
+            raise ValueError(f"{name} {value}: give a whole number, {least} or more")
+
+
 def check_levels(**levels: float | None) -> None:
     """Refuse levels, the broadest first, that are not positive or in the wrong order."""
     for name, value in levels.items():

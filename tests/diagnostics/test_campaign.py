@@ -8,6 +8,7 @@ from faults import GaussianCase
 
 from posterior.diagnostics import campaign
 from posterior.diagnostics.campaign import Settings, simulate
+from posterior.diagnostics.ranks import randomised_ranks
 from posterior.sampling import NonFiniteError
 
 CASE = GaussianCase(size=6, rows=4)
@@ -17,11 +18,11 @@ ASKED = {
 }
 
 
-def simulated(count, *, batch=4, key=0, sampler=None, **settings):
+def simulated(count, *, batch=4, key=0, sampler=None, asked=ASKED, **settings):
     sampler = CASE.drawer(count=5) if sampler is None else sampler
     key = jax.random.key(key)
     return simulate(
-        CASE.problem, sampler, key, count, ASKED, batch=batch, progress=False, **settings
+        CASE.problem, sampler, key, count, asked, batch=batch, progress=False, **settings
     )
 
 
@@ -53,10 +54,17 @@ def test_a_killed_campaign_goes_on_and_repeats_nothing(tmp_path, monkeypatch):
         ran.append(1)
         return compiled(*args)
 
+    dying.lower = compiled.lower
     monkeypatch.setattr(campaign, "_batch", dying)
     with pytest.raises(KeyboardInterrupt):
         simulated(10, folder=tmp_path / "c")
-    monkeypatch.setattr(campaign, "_batch", lambda *args: (ran.append(1), compiled(*args))[1])
+
+    def counting(*args):
+        ran.append(1)
+        return compiled(*args)
+
+    counting.lower = compiled.lower
+    monkeypatch.setattr(campaign, "_batch", counting)
     resumed = simulated(10, folder=tmp_path / "c")
     assert len(ran) == 3
     np.testing.assert_array_equal(resumed.truths, whole.truths)
@@ -67,11 +75,17 @@ def test_a_killed_campaign_goes_on_and_repeats_nothing(tmp_path, monkeypatch):
 
 
 def test_the_folder_of_another_campaign_is_refused(tmp_path):
+    """Another key, number of draws, function of the same name, or quantity of the same name."""
     simulated(4, folder=tmp_path / "c")
+    with pytest.raises(ValueError, match="another run"):
+        simulated(4, sampler=CASE.drawer(temperature=0.2, count=5), folder=tmp_path / "c")
+    other = {"norm": lambda x, y: jnp.sum(2.5 * x**2), "fit": ASKED["fit"]}
+    with pytest.raises(ValueError, match="another run"):
+        simulated(4, asked=other, folder=tmp_path / "c")
     with pytest.raises(ValueError, match="another run"):
         simulated(4, key=1, folder=tmp_path / "c")
     with pytest.raises(ValueError, match="another run"):
-        simulated(4, settings=Settings(draws=7), folder=tmp_path / "c")
+        simulated(4, batch=2, folder=tmp_path / "c")
 
 
 def test_a_draw_that_the_prior_excludes_ranks_last():
@@ -81,15 +95,50 @@ def test_a_draw_that_the_prior_excludes_ranks_last():
     found = simulate(
         CASE.problem, CASE.drawer(count=5), jax.random.key(0), 4, {"f": asked}, progress=False
     )
-    assert np.isfinite(found.draws).all() and found.draws.min() < -1e30
+    truths = found.truths[np.arange(4), 0]
+    u = randomised_ranks(truths, found.draws[:, 0, :, 0], np.random.default_rng(0))
+    excluded = found.draws[:, 0, :, 0] < -1e30
+    below = (excluded | (found.draws[:, 0, :, 0] < truths[:, None])).sum(axis=1)
+    assert excluded.any() and np.all(u[truths > -1e30] >= (below / 6)[truths > -1e30])
 
 
 def test_a_run_that_diverges_is_named():
     def diverging(key, posterior):
         return jnp.full((1, 5, 6), jnp.nan)
 
-    with pytest.raises(NonFiniteError, match="simulation 0: norm is NaN"):
+    with pytest.raises(NonFiniteError, match="simulation 0: norm of a draw is NaN"):
         simulated(4, sampler=diverging)
+
+
+def test_simulations_that_were_not_asked_for_decide_nothing():
+    """Of a batch of four the fourth diverges: three are three, and four are refused."""
+    fourth = jax.random.split(jax.random.fold_in(jax.random.key(0), 3))[1]
+
+    def once(key, posterior):
+        lost = jnp.all(jax.random.key_data(key) == jax.random.key_data(fourth))
+        return jnp.where(lost, jnp.nan, CASE.drawer(count=5)(key, posterior))
+
+    assert len(simulated(3, sampler=once).truths) == 3
+    with pytest.raises(NonFiniteError, match="simulation 3"):
+        simulated(4, sampler=once)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"asked": {"vector": lambda x, y: x}}, "vector is no real number"),
+        ({"asked": {"field": lambda x, y: 1j * x[0]}}, "field is no real number"),
+        ({"asked": {"odd": lambda x, y: jnp.log(-jnp.sum(x**2))}}, "of the object itself is NaN"),
+        ({"asked": {}}, "no quantities"),
+        ({"sampler": lambda key, p: jnp.zeros((5, 6))}, r"draws of shape \(5, 6\): give"),
+        ({"settings": Settings(thin=0)}, "thin 0: give a whole number, 1 or more"),
+        ({"settings": Settings(draws=20.5)}, "draws 20.5: give a whole number"),
+        ({"settings": Settings(warmup=-5)}, "warmup -5: give a whole number, 0 or more"),
+    ],
+)
+def test_what_cannot_be_ranked_is_refused_at_once(change, message):
+    with pytest.raises(ValueError, match=message):
+        simulated(4, **change)
 
 
 @pytest.mark.parametrize("settings", [{"count": 0}, {"count": 2.5}, {"count": 4, "batch": 0}])

@@ -23,7 +23,8 @@ def test_psnr_and_nrmse_of_a_known_error():
     assert psnr(TRUTH + 0.1j, TRUTH + 0j, peak=10) == pytest.approx(40)
     assert psnr(TRUTH, TRUTH) == np.inf
     assert nrmse(1.3 * TRUTH, TRUTH) == pytest.approx(0.3)
-    assert psnr(np.zeros(4, np.uint8), np.full(4, 1, np.uint8)) == pytest.approx(0)
+    codes = np.zeros(4, np.uint8), np.full(4, 1, np.uint8)
+    assert psnr(*codes) == pytest.approx(0) and nrmse(*codes) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("spread", [0.2, 1.5, 3.0])
@@ -77,6 +78,13 @@ def test_energy_score_is_the_plain_sum():
     near = np.mean([np.linalg.norm(d - truth) for d in draws])
     among = sum(np.linalg.norm(a - b) for a in draws for b in draws) / (5 * 4)
     assert energy_score(draws, truth) == pytest.approx(near - among / 2)
+    assert energy_score(draws, truth) == pytest.approx(
+        scoringrules.es_ensemble(
+            np.append(truth.real, truth.imag),
+            np.concatenate([draws.real, draws.imag], axis=1),
+            estimator="fair",
+        )
+    )
     one = energy_score(draws.real[:, :1], truth.real[:1])
     assert one == pytest.approx(crps(draws.real[:, :1], truth.real[:1])[0])
 

@@ -60,6 +60,21 @@ def test_a_global_phase_changes_the_densities_alone(x64):
         assert same == (name not in {"log-likelihood", "log-posterior", "distance to estimate"})
 
 
+def test_a_dark_recording_suggests_a_dark_object():
+    problem = denoising((8,))
+    f = default_quantities(problem)["distance to estimate"]
+    assert float(f(np.full(8, 0.5), np.zeros(8))) == 2.0
+
+
+def test_a_real_object_behind_complex_optics_has_a_real_estimate(x64):
+    prior = models.GaussianPrior(np.zeros(8), np.eye(8), (8,))
+    likelihood = models.LinearLikelihood(models.Fourier((8,)), models.Gaussian(0.3))
+    x, y = ps.Problem(likelihood, prior).simulate(jax.random.key(0))
+    found = default_quantities(ps.Problem(likelihood, prior))["distance to estimate"](x, y)
+    estimate = np.fft.ifft(y, norm="ortho").real
+    assert float(found) == pytest.approx(np.sum((np.asarray(x) - estimate) ** 2), rel=0.2)
+
+
 def test_small_objects_have_what_is_there():
     assert [name for name in default_quantities(denoising((1,))) if "px" in name] == []
     assert isinstance(default_quantities(denoising((1,)))["mean [0:1]"], PatchMean)

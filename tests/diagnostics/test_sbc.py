@@ -76,6 +76,17 @@ def test_mala_passes_and_chains_that_hardly_move_are_not_judged():
     assert slow.verdict().startswith("cannot be judged")
 
 
+def test_a_slow_quantity_does_not_hide_one_that_fails():
+    ranks = np.stack([np.full(50, 0.999), np.linspace(0.01, 0.99, 50)], axis=1)
+    found = Calibration(("wrong", "slow"), ranks, np.array([100.0, 3.0]))
+    assert found.verdict().startswith("fails: wrong")
+    found = Calibration(("right", "slow"), ranks[:, ::-1], np.array([100.0, 3.0]))
+    assert found.verdict().startswith("cannot be judged: 3 independent draws of slow")
+    assert "at least 1.7 times" in found.verdict()
+    found = Calibration(("slow",), ranks[:, :1], np.array([3.0]))
+    assert found.verdict().startswith("cannot be judged")
+
+
 def test_coverage_follows_the_ranks():
     ranks = (np.arange(100) + 0.5)[:, None] / 100
     shares = Calibration(("f",), ranks, np.array([50.0])).coverage(0.8)
@@ -90,7 +101,9 @@ def test_same_key_same_ranks():
     assert np.all(first.ranks != other.ranks)
 
 
-def test_too_few_simulations_are_refused():
+def test_too_few_simulations_and_draws_are_refused():
+    with pytest.raises(ValueError, match="7 draws a chain: give 8 or more"):
+        calibrated(CASE, samplers.MALA(), 20, draws=7)
     with pytest.raises(ValueError, match="give 20 or more"):
         calibrated(CASE, EXACT, 19)
 

@@ -68,6 +68,10 @@ def test_bands_hold_what_the_test_accepts():
     assert least <= np.sum(~inside) <= most
 
 
+def test_the_band_of_one_number_is_its_central_interval():
+    assert np.concatenate(bands(1, 0.9)) == pytest.approx([0.05, 0.95])
+
+
 def test_holm_in_its_textbook_steps():
     adjusted = holm({"c": 0.03, "a": 0.01, "d": 0.5, "b": 0.011})
     assert list(adjusted) == ["c", "a", "d", "b"]

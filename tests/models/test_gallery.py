@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import posterior as ps
 from known import grid_posterior
@@ -58,9 +59,12 @@ def test_moments_agree_with_tempered_smc(x64, name):
         posterior, samplers.TemperedSMC(), jax.random.key(3), chains=16, draws=500, progress=False
     )
     means = np.abs(run.values.reshape(16, 500, -1)).mean(axis=1)
-    error = np.hypot(means.std(axis=0, ddof=1) / 4, np.abs(exact).std(axis=0) / np.sqrt(200))
+    # Of the draws by importance 700 count at the least (`two_pixel_retrieval`).
+    count = 700 if "importance" in known.basis else len(exact)
+    error = np.hypot(means.std(axis=0, ddof=1) / 4, np.abs(exact).std(axis=0) / np.sqrt(count))
     z = (means.mean(axis=0) - np.abs(exact).mean(axis=0)) / error
-    assert np.abs(z).max() < 4.5
+    # Student's t of 15 populations, for 16 numbers: once in 200 correct runs.
+    assert np.abs(z).max() < scipy.stats.t(15).isf(0.005 / 2 / 16)
 
 
 def test_a_wider_code_leaves_more_open():
