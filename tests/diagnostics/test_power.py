@@ -66,7 +66,7 @@ def rejections(p):
 
 
 def smallest(caught):
-    """The smallest size from which on all are caught in 95 % of the repetitions, or a dash."""
+    """The smallest size at which 95 % of the repetitions are caught, or a dash."""
     sizes = [size for size, share in caught.items() if share >= 0.95]
     return str(min(sizes)) if sizes else "-"
 
@@ -81,7 +81,7 @@ def test_each_fault_is_caught_in_95_of_100_repetitions(fault):
         together[size] = rejections(p).mean()
         for name, column in zip(found.names, p.T):
             by_quantity[name][size] = np.mean(column < 0.05)
-    print(f"\n{fault}: caught from {smallest(together)} simulations on; by one quantity alone:")
+    print(f"\n{fault}: caught at {smallest(together)} simulations; by one quantity alone:")
     print("  " + ", ".join(f"{name} {smallest(caught)}" for name, caught in by_quantity.items()))
     assert max(together.values()) >= 0.95
 
@@ -106,6 +106,6 @@ def test_the_printed_equation_is_caught_and_the_consistent_one_is_closer():
         found, p_values = pooled(one_complex_pixel(), sampler, 800, independent=True, **run)
         caught = {size: rejections(p_values(size)).mean() for size in SIZES[:4]}
         distances[name] = max(scipy.stats.kstest(u, "uniform").statistic for u in found.ranks.T)
-        print(f"\n{name}: caught from {smallest(caught)} on; {found.verdict()}")
+        print(f"\n{name}: caught at {smallest(caught)}; {found.verdict()}")
     print({name: round(float(value), 3) for name, value in distances.items()})
     assert distances["printed"] > 2 * distances["consistent"]
