@@ -15,7 +15,15 @@ from .checkpoint import Checkpoint, fingerprint
 from .draws import Draws, versions
 from .problem import Posterior
 from .samplers import Ensemble
-from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
+from .samplers.base import (
+    PopulationSampler,
+    Sampler,
+    chain_axes,
+    chain_keys,
+    fold_each,
+    vmap_init,
+    vmap_step,
+)
 from .samplers.checks import check_run
 
 _CHUNK_SECONDS = 2.0
@@ -131,7 +139,7 @@ def _run_chains(
     start: jax.Array | None,
     checkpoint: str | os.PathLike | None,
 ) -> Result:
-    keys = _chain_keys(key, plan.chains)
+    keys = chain_keys(key, plan.chains)
     run = _begin(plan.sampler, keys, posterior, start)
     store, pieces = None, []
     if checkpoint is not None:
@@ -220,7 +228,7 @@ def _collect(plan: _Plan, run: _Run, pieces: list[dict[str, np.ndarray]]) -> Res
 def _begin(
     sampler: Sampler, keys: jax.Array, posterior: Posterior, start: jax.Array | None
 ) -> _Run:
-    states = vmap_init(sampler, _fold(keys, 0), posterior, start)
+    states = vmap_init(sampler, fold_each(keys, 0), posterior, start)
     positions = _positions(sampler, states)
     adaptation = sampler.adaptation()
     zero = jnp.zeros((), jnp.int32)
@@ -241,12 +249,12 @@ def _begin(
 @eqx.filter_jit
 def _warm(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array, count: jax.Array) -> _Run:
     """`count` warm-up steps of every chain."""
-    keys = _fold(keys, 1)
+    keys = fold_each(keys, 1)
     adaptation = sampler.adaptation()
 
     def body(carry: tuple) -> tuple:
         i, run = carry
-        step_keys = _fold(keys, run.warmed)
+        step_keys = fold_each(keys, run.warmed)
         if adaptation is None:
             states, info = vmap_step(sampler, step_keys, run.states)
             adapted = run.adapted
@@ -269,7 +277,7 @@ def _own_warmup(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array) -> _R
         lambda key, state: sampler.own_warmup(key, state, warmup),
         in_axes=(0, axes),
         out_axes=axes,
-    )(_fold(keys, 1), run.states)
+    )(fold_each(keys, 1), run.states)
     return run._replace(states=states, warmed=run.warmed + warmup)
 
 
@@ -292,7 +300,7 @@ def _advance(
     capacity: int,
 ) -> tuple[_Run, jax.Array | None, dict[str, jax.Array], jax.Array]:
     """`count` steps of every chain; the draws among them in a buffer, with their statistics."""
-    keys = _fold(keys, 2)
+    keys = fold_each(keys, 2)
     positions = jax.eval_shape(lambda s: _positions(sampler, s), run.states)
     _, info = jax.eval_shape(lambda k, s: vmap_step(sampler, k, s), keys, run.states)
     buffer = jnp.zeros((kept, *positions.shape), positions.dtype) if kept else None
@@ -300,7 +308,7 @@ def _advance(
 
     def body(carry: tuple) -> tuple:
         i, filled, run, buffer, infos = carry
-        states, info = vmap_step(sampler, _fold(keys, run.step), run.states)
+        states, info = vmap_step(sampler, fold_each(keys, run.step), run.states)
         bad = jnp.where(_all_finite(sampler, states), -1, run.step)
         run = run._replace(states=states, step=run.step + 1, bad_step=bad)
 
@@ -353,8 +361,8 @@ def _run_population(
         raise ValueError(
             f"{type(plan.sampler).__name__} draws a population at once: leave out keep= and thin="
         )
-    keys = _chain_keys(key, plan.chains)
-    states, step = _begin_population(plan.sampler, _fold(keys, 0), posterior, plan.draws), 0
+    keys = chain_keys(key, plan.chains)
+    states, step = _begin_population(plan.sampler, fold_each(keys, 0), posterior, plan.draws), 0
     store = None
     if checkpoint is not None:
         identity = fingerprint(plan.identity(), plan.draws, posterior, key)
@@ -365,7 +373,9 @@ def _run_population(
     with _bar(plan.progress) as bar:
         task = bar.add_task("tempering", total=1.0, note="")
         while not bool(jnp.all(states.done)):
-            states, info = _step_population(plan.sampler, _fold(_fold(keys, 1), step), states)
+            states, info = _step_population(
+                plan.sampler, fold_each(fold_each(keys, 1), step), states
+            )
             step += 1
             if not bool(jnp.all(jnp.isfinite(states.inner.particles))):
                 raise NonFiniteError(_non_finite_sentence("tempering", step, store))
@@ -407,7 +417,7 @@ def _run_ensemble(
     walkers = plan.sampler.size(posterior)
     kept = -(-plan.draws // walkers)
     values, rates = [], []
-    for i, chain_key in enumerate(_chain_keys(key, plan.chains)):
+    for i, chain_key in enumerate(chain_keys(key, plan.chains)):
         path = None
         if checkpoint is not None:
             identity = fingerprint(plan.identity(), posterior, key, start)
@@ -455,14 +465,6 @@ class _Pace:
                 pace.compiled = True
 
         return Timer()
-
-
-def _chain_keys(key: jax.Array, chains: int) -> jax.Array:
-    return jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(chains))
-
-
-def _fold(keys: jax.Array, index: jax.Array | int) -> jax.Array:
-    return jax.vmap(lambda k: jax.random.fold_in(k, index))(keys)
 
 
 def _positions(sampler: Sampler, states: Any) -> jax.Array:

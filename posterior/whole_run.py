@@ -9,7 +9,15 @@ import jax.numpy as jnp
 
 from .problem import Posterior
 from .samplers import Ensemble
-from .samplers.base import PopulationSampler, Sampler, chain_axes, vmap_init, vmap_step
+from .samplers.base import (
+    PopulationSampler,
+    Sampler,
+    chain_axes,
+    chain_keys,
+    fold_each,
+    vmap_init,
+    vmap_step,
+)
 from .samplers.checks import check_run
 
 
@@ -36,7 +44,7 @@ def whole_run(
     if isinstance(sampler, Ensemble):
         raise ValueError("Ensemble (emcee) cannot be compiled: take another sampler, or `sample`")
     warmup = sampler.default_warmup() if warmup is None else warmup
-    keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(chains))
+    keys = chain_keys(key, chains)
     if isinstance(sampler, PopulationSampler):
         return _population(sampler, posterior, keys, draws, record)
     states = _warmed(sampler, posterior, keys, warmup)
@@ -46,7 +54,7 @@ def whole_run(
         first = index * per_draw
 
         def move(i: jax.Array, states: Any) -> Any:
-            return vmap_step(sampler, _fold(_fold(keys, 2), first + i), states)[0]
+            return vmap_step(sampler, fold_each(fold_each(keys, 2), first + i), states)[0]
 
         states = jax.lax.fori_loop(0, per_draw, move, states)
         return states, _recorded(sampler.position, record, sampler, states)
@@ -57,8 +65,8 @@ def whole_run(
 
 def _warmed(sampler: Sampler, posterior: Posterior, keys: jax.Array, warmup: int) -> Any:
     """States of the chains after their warm-up."""
-    states = vmap_init(sampler, _fold(keys, 0), posterior, None)
-    keys = _fold(keys, 1)
+    states = vmap_init(sampler, fold_each(keys, 0), posterior, None)
+    keys = fold_each(keys, 1)
     if not warmup:
         return states
     if sampler.tunes_itself():
@@ -68,11 +76,11 @@ def _warmed(sampler: Sampler, posterior: Posterior, keys: jax.Array, warmup: int
     adaptation = sampler.adaptation()
     if adaptation is None:
         return jax.lax.fori_loop(
-            0, warmup, lambda i, s: vmap_step(sampler, _fold(keys, i), s)[0], states
+            0, warmup, lambda i, s: vmap_step(sampler, fold_each(keys, i), s)[0], states
         )
 
     def tune(i: jax.Array, carry: tuple) -> tuple:
-        return adaptation.step(i, warmup, _fold(keys, i), *carry)
+        return adaptation.step(i, warmup, fold_each(keys, i), *carry)
 
     carry = (states, adaptation.init(states))
     return adaptation.finish(*jax.lax.fori_loop(0, adaptation.steps(warmup), tune, carry))
@@ -83,11 +91,11 @@ def _population(
 ) -> Any:
     example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
     axes = chain_axes(example, sampler.shared)
-    states = jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(_fold(keys, 0))
+    states = jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(fold_each(keys, 0))
 
     def move(carry: tuple) -> tuple:
         step, states = carry
-        return step + 1, vmap_step(sampler, _fold(_fold(keys, 1), step), states)[0]
+        return step + 1, vmap_step(sampler, fold_each(fold_each(keys, 1), step), states)[0]
 
     unfinished = lambda carry: ~jnp.all(carry[1].done)  # noqa: E731
     _, states = jax.lax.while_loop(unfinished, move, (0, states))
@@ -97,7 +105,3 @@ def _population(
 def _recorded(place: Callable, record: Callable, sampler: Sampler, states: Any) -> Any:
     axes = chain_axes(states, sampler.shared)
     return jax.vmap(lambda state: record(place(state)), in_axes=(axes,))(states)
-
-
-def _fold(keys: jax.Array, index: jax.Array | int) -> jax.Array:
-    return jax.vmap(lambda k: jax.random.fold_in(k, index))(keys)

@@ -103,6 +103,16 @@ class ChainInfo(NamedTuple):
     score_norm: jax.Array
 
 
+def chain_keys(key: jax.Array, chains: int) -> jax.Array:
+    """A key for each chain (chains,): that of chain i depends on i alone."""
+    return jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(chains))
+
+
+def fold_each(keys: jax.Array, index: jax.Array | int) -> jax.Array:
+    """`index` folded into each of the keys (chains,)."""
+    return jax.vmap(lambda k: jax.random.fold_in(k, index))(keys)
+
+
 def chain_axes(state: State, shared: tuple[str, ...]) -> State:
     """in_axes/out_axes of a batched state for `jax.vmap`: 0, but None for shared fields."""
     return type(state)(*(None if name in shared else 0 for name in state._fields))
