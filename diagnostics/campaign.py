@@ -24,6 +24,10 @@ Drawer = Callable[[jax.Array, Posterior], jax.Array]
 _BATCH = 32
 
 
+class SamplerRefusal(ValueError):
+    """A sampler's own reason not to run on a problem."""
+
+
 class Settings(NamedTuple):
     """Of every run: as in `posterior.sample`."""
 
@@ -130,18 +134,37 @@ def _batch(
                     raise ValueError(f"{name} is no real number (f(x, y) gives {value}): give one")
             return jnp.stack(found)
 
-        if isinstance(sampler, Sampler):
-            run = settings._asdict()
-            return asked(x), whole_run(sampler, posterior, key_run, **run, record=asked)
-        draws = sampler(key_run, posterior)
-        if draws.ndim < 2 or draws.shape[2:] != posterior.shape:
-            raise ValueError(
-                f"the sampler gives draws of shape {draws.shape}: give (chains, draws, "
-                f"*{posterior.shape})"
-            )
-        return asked(x), jax.vmap(jax.vmap(asked))(draws)
+        # The truth first: a quantity that is no number is not the sampler's fault.
+        truth = asked(x)
+        return truth, recorded(sampler, posterior, key_run, settings, asked)
 
     return jax.vmap(one)(keys)
+
+
+def recorded(
+    sampler: Sampler | Drawer,
+    posterior: Posterior,
+    key: jax.Array,
+    settings: Settings,
+    record: Callable[[jax.Array], jax.Array] = lambda x: x,
+) -> jax.Array:
+    """`record` of each draw (chains, draws, ...) by a sampler, or by a function of draws.
+
+    Raises SamplerRefusal where the sampler refuses the posterior, ValueError for draws of a
+    function that have another shape.
+    """
+    if isinstance(sampler, Sampler):
+        try:
+            return whole_run(sampler, posterior, key, **settings._asdict(), record=record)
+        except ValueError as error:
+            raise SamplerRefusal(" ".join(str(error).split())) from error
+    draws = sampler(key, posterior)
+    if draws.ndim < 2 or draws.shape[2:] != posterior.shape:
+        raise ValueError(
+            f"the sampler gives draws of shape {draws.shape}: give (chains, draws, "
+            f"*{posterior.shape})"
+        )
+    return jax.vmap(jax.vmap(record))(draws)
 
 
 def _refuse_nan(truths: np.ndarray, draws: np.ndarray, first: int, names: tuple[str, ...]) -> None:

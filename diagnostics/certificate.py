@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..models.gallery import GALLERY, Known
-from ..problem import Posterior, Problem
+from ..problem import Problem
 from ..samplers.base import RunSampler, Sampler
 from ..sampling import NonFiniteError
-from ..whole_run import whole_run
-from .campaign import Drawer, Settings
+from .campaign import Drawer, SamplerRefusal, Settings, recorded
 from .distance import sliced_wasserstein
 from .quantities import DistanceTo, default_quantities
 from .sbc import Calibration, sbc
@@ -83,7 +82,7 @@ def certify(
     settings = settings_of(sampler) if settings is None else settings
     found = {}
     for name, known in problems.items():
-        place = None if folder is None else Path(folder) / _file_name(name)
+        place = None if folder is None else Path(folder) / file_name(name)
         share = alpha / len(problems)
         found[name] = _certificate(
             sampler, known, key, simulations, settings, share, place, progress
@@ -125,16 +124,16 @@ def _certificate(
     progress: bool,
 ) -> Certificate:
     problem = Problem(known.likelihood, known.prior)
-    quantities, independent = default_quantities(problem), isinstance(sampler, RunSampler) or None
+    quantities = default_quantities(problem)
     if known.modes is not None:
         quantities["distance to a mode"] = DistanceTo(jnp.asarray(known.modes[0]))
-    if (reason := _refusal(problem, sampler, settings)) is not None:
-        return Certificate(f"does not apply: {reason}")
     try:
         calibration = sbc(
-            problem, sampler, key, simulations, quantities=quantities, independent=independent,
+            problem, sampler, key, simulations, quantities=quantities,
             folder=folder, progress=progress, **settings._asdict(),
         )  # fmt: skip
+    except SamplerRefusal as error:
+        return Certificate(f"does not apply: {error}")
     except NonFiniteError as error:
         return Certificate(f"fails: {error}")
     keys = jax.random.split(jax.random.fold_in(key, 2**31 + 1), _RECORDINGS)
@@ -159,28 +158,6 @@ def _certificate(
     return Certificate(verdict, calibration, distance, *errors, calibration.seconds)
 
 
-def _refusal(problem: Problem, sampler: Sampler | Drawer, settings: Settings) -> str | None:
-    """Why the sampler would not run on this problem, found by a trace, or None."""
-
-    def traced(key: jax.Array) -> jax.Array:
-        posterior = problem.condition(problem.simulate(key)[1])
-        return _run(sampler, posterior, key, settings)
-
-    try:
-        eqx.filter_eval_shape(traced, jax.random.key(0))
-    except ValueError as error:
-        return " ".join(str(error).split())
-    return None
-
-
-def _run(
-    sampler: Sampler | Drawer, posterior: Posterior, key: jax.Array, settings: Settings
-) -> jax.Array:
-    if isinstance(sampler, Sampler):
-        return whole_run(sampler, posterior, key, **settings._asdict())
-    return sampler(key, posterior)
-
-
 @eqx.filter_jit
 def _beside_exact(
     problem: Problem, exact: Any, sampler: Sampler | Drawer, settings: Settings, keys: jax.Array
@@ -190,7 +167,7 @@ def _beside_exact(
     def one(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         keys = jax.random.split(key, 4)
         posterior = problem.condition(problem.simulate(keys[0])[1])
-        values = _run(sampler, posterior, keys[1], settings).reshape(-1, *posterior.shape)
+        values = recorded(sampler, posterior, keys[1], settings).reshape(-1, *posterior.shape)
         return values, *(exact(k, posterior.y, len(values)) for k in keys[2:])
 
     return jax.vmap(one)(keys)
@@ -216,5 +193,6 @@ def _said(value: float | None, form: str) -> str:
     return "" if value is None else format(value, form)
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
+    """The name of a problem, as a file may have it."""
     return "".join(c if c.isalnum() else "-" for c in name)

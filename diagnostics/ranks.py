@@ -39,8 +39,9 @@ def thinned(values: np.ndarray) -> np.ndarray:
     al. 2018): once that ratio apart they are still correlated by a seventh, twice by a fiftieth.
     """
     runs, chains, draws = values.shape[:3]
-    effective = ess(np.moveaxis(values, 0, 2))
     # Draws that never move are one draw.
+    moves = np.ptp(values) > 0
+    effective = ess(np.moveaxis(values, 0, 2)) if moves else np.ones((runs, *values.shape[3:]))
     apart = np.ceil(2 * chains * draws / np.nan_to_num(effective, nan=1.0))
     order = np.arange(draws).reshape(-1, *(1,) * (values.ndim - 3))
     chosen = order[None] % np.minimum(apart, draws)[:, None] == 0

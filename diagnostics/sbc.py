@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ..problem import Problem
-from ..samplers.base import Sampler
+from ..samplers.base import PopulationSampler, Sampler
 from .campaign import Drawer, Settings, simulate
 from .quantities import Quantity, default_quantities
 from .ranks import randomised_ranks, thinned
@@ -97,7 +97,8 @@ def sbc(
     Draws (x, y) of the joint distribution and draws of the posterior given y: if these are exact,
     the rank of f(x, y) among theirs is uniform, for every f. `quantities`: {name: f(x, y)}, a real
     scalar each; None: `default_quantities`. `independent`: draws of a run are, and are not thinned
-    by their effective number; None: as the sampler says, and for a function of draws, True.
+    by their effective number; None: as the sampler says; True for a function of draws, for one draw
+    a chain, and for particles, which have no order to thin them by.
     The rest as in `campaign.simulate`. Objects are drawn by `prior.sample`: what is tested is the
     sampler, not the prior, but where those draws are approximate (of a learned prior, by reverse
     diffusion) their error counts too.
@@ -108,7 +109,7 @@ def sbc(
     if simulations < 20:
         raise ValueError(f"{simulations} simulations: give 20 or more, no test sees less")
     if independent is None:
-        independent = sampler.independent if isinstance(sampler, Sampler) else True
+        independent = _independent(sampler, draws)
     quantities = default_quantities(problem) if quantities is None else quantities
     settings = Settings(chains, draws, warmup, thin)
     if not independent and draws < 8:
@@ -123,6 +124,12 @@ def sbc(
     seed = jax.random.key_data(jax.random.fold_in(key, 2**31))
     ranks = randomised_ranks(truths, flat, np.random.default_rng(np.asarray(seed)), kept)
     return Calibration(names, ranks, np.median(kept.sum(axis=1), axis=0), seconds)
+
+
+def _independent(sampler: Sampler | Drawer, draws: int) -> bool:
+    if not isinstance(sampler, Sampler) or draws == 1:
+        return True
+    return sampler.independent or isinstance(sampler, PopulationSampler)
 
 
 def _fault(u: np.ndarray) -> str:

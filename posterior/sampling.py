@@ -18,10 +18,13 @@ from .samplers import Ensemble
 from .samplers.base import (
     PopulationSampler,
     Sampler,
-    chain_axes,
     chain_keys,
     fold_each,
+    populations,
+    positions,
     vmap_init,
+    vmap_own_warmup,
+    vmap_population,
     vmap_step,
 )
 from .samplers.checks import check_run
@@ -229,7 +232,7 @@ def _begin(
     sampler: Sampler, keys: jax.Array, posterior: Posterior, start: jax.Array | None
 ) -> _Run:
     states = vmap_init(sampler, fold_each(keys, 0), posterior, start)
-    positions = _positions(sampler, states)
+    at = positions(sampler, states)
     adaptation = sampler.adaptation()
     zero = jnp.zeros((), jnp.int32)
     return _Run(
@@ -239,9 +242,9 @@ def _begin(
         step=zero,
         bad_step=zero - 1,
         moments=_Moments(
-            jnp.zeros((), positions.real.dtype),
-            jnp.zeros_like(positions),
-            jnp.zeros_like(positions),
+            jnp.zeros((), at.real.dtype),
+            jnp.zeros_like(at),
+            jnp.zeros_like(at),
         ),
     )
 
@@ -272,12 +275,7 @@ def _warm(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array, count: jax.
 @eqx.filter_jit
 def _own_warmup(sampler: Sampler, warmup: int, run: _Run, keys: jax.Array) -> _Run:
     """Every chain after the sampler's own warm-up, which counts as the whole."""
-    axes = chain_axes(run.states, sampler.shared)
-    states = jax.vmap(
-        lambda key, state: sampler.own_warmup(key, state, warmup),
-        in_axes=(0, axes),
-        out_axes=axes,
-    )(fold_each(keys, 1), run.states)
+    states = vmap_own_warmup(sampler, fold_each(keys, 1), run.states, warmup)
     return run._replace(states=states, warmed=run.warmed + warmup)
 
 
@@ -301,9 +299,9 @@ def _advance(
 ) -> tuple[_Run, jax.Array | None, dict[str, jax.Array], jax.Array]:
     """`count` steps of every chain; the draws among them in a buffer, with their statistics."""
     keys = fold_each(keys, 2)
-    positions = jax.eval_shape(lambda s: _positions(sampler, s), run.states)
+    at = jax.eval_shape(lambda s: positions(sampler, s), run.states)
     _, info = jax.eval_shape(lambda k, s: vmap_step(sampler, k, s), keys, run.states)
-    buffer = jnp.zeros((kept, *positions.shape), positions.dtype) if kept else None
+    buffer = jnp.zeros((kept, *at.shape), at.dtype) if kept else None
     infos = {k: jnp.zeros((capacity, *v.shape), v.dtype) for k, v in info._asdict().items()}
 
     def body(carry: tuple) -> tuple:
@@ -313,7 +311,7 @@ def _advance(
         run = run._replace(states=states, step=run.step + 1, bad_step=bad)
 
         def record(filled: jax.Array, moments: _Moments, buffer: Any, infos: Any) -> tuple:
-            position = _positions(sampler, states)
+            position = positions(sampler, states)
             if kept:
                 buffer = buffer.at[filled].set(position)
             infos = {k: infos[k].at[filled].set(v) for k, v in info._asdict().items()}
@@ -383,18 +381,11 @@ def _run_population(
                 store.save((states._replace(posterior=None), np.asarray(step)), 0, None)
             note = f"step {step}, {_acceptance_note(jnp.mean(info.acceptance_rate))}"
             bar.update(task, completed=float(jnp.min(info.temperature)), note=note)
-    axes = chain_axes(states, plan.sampler.shared)
-    values = np.asarray(jax.vmap(plan.sampler.population, in_axes=(axes,))(states))
+    values = np.asarray(populations(plan.sampler, states))
     return values, *_moments_of(values), {}
 
 
-@eqx.filter_jit
-def _begin_population(
-    sampler: PopulationSampler, keys: jax.Array, posterior: Posterior, size: int
-) -> Any:
-    example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
-    axes = chain_axes(example, sampler.shared)
-    return jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(keys)
+_begin_population = eqx.filter_jit(vmap_population)
 
 
 @eqx.filter_jit
@@ -467,13 +458,8 @@ class _Pace:
         return Timer()
 
 
-def _positions(sampler: Sampler, states: Any) -> jax.Array:
-    axes = chain_axes(states, sampler.shared)
-    return jax.vmap(sampler.position, in_axes=(axes,))(states)
-
-
 def _all_finite(sampler: Sampler, states: Any) -> jax.Array:
-    return jnp.all(jnp.isfinite(_positions(sampler, states)))
+    return jnp.all(jnp.isfinite(positions(sampler, states)))
 
 
 def _moments_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -12,10 +11,13 @@ from .samplers import Ensemble
 from .samplers.base import (
     PopulationSampler,
     Sampler,
-    chain_axes,
     chain_keys,
     fold_each,
+    populations,
+    positions,
     vmap_init,
+    vmap_own_warmup,
+    vmap_population,
     vmap_step,
 )
 from .samplers.checks import check_run
@@ -57,7 +59,7 @@ def whole_run(
             return vmap_step(sampler, fold_each(fold_each(keys, 2), first + i), states)[0]
 
         states = jax.lax.fori_loop(0, per_draw, move, states)
-        return states, _recorded(sampler.position, record, sampler, states)
+        return states, jax.vmap(record)(positions(sampler, states))
 
     _, found = jax.lax.scan(one_draw, states, jnp.arange(draws))
     return jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), found)
@@ -70,9 +72,7 @@ def _warmed(sampler: Sampler, posterior: Posterior, keys: jax.Array, warmup: int
     if not warmup:
         return states
     if sampler.tunes_itself():
-        axes = chain_axes(states, sampler.shared)
-        own = jax.vmap(lambda k, s: sampler.own_warmup(k, s, warmup), (0, axes), axes)
-        return own(keys, states)
+        return vmap_own_warmup(sampler, keys, states, warmup)
     adaptation = sampler.adaptation()
     if adaptation is None:
         return jax.lax.fori_loop(
@@ -89,19 +89,11 @@ def _warmed(sampler: Sampler, posterior: Posterior, keys: jax.Array, warmup: int
 def _population(
     sampler: PopulationSampler, posterior: Posterior, keys: jax.Array, size: int, record: Callable
 ) -> Any:
-    example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
-    axes = chain_axes(example, sampler.shared)
-    states = jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(fold_each(keys, 0))
+    states = vmap_population(sampler, fold_each(keys, 0), posterior, size)
 
     def move(carry: tuple) -> tuple:
         step, states = carry
         return step + 1, vmap_step(sampler, fold_each(fold_each(keys, 1), step), states)[0]
 
-    unfinished = lambda carry: ~jnp.all(carry[1].done)  # noqa: E731
-    _, states = jax.lax.while_loop(unfinished, move, (0, states))
-    return _recorded(sampler.population, jax.vmap(record), sampler, states)
-
-
-def _recorded(place: Callable, record: Callable, sampler: Sampler, states: Any) -> Any:
-    axes = chain_axes(states, sampler.shared)
-    return jax.vmap(lambda state: record(place(state)), in_axes=(axes,))(states)
+    _, states = jax.lax.while_loop(lambda carry: ~jnp.all(carry[1].done), move, (0, states))
+    return jax.vmap(jax.vmap(record))(populations(sampler, states))

@@ -8,7 +8,7 @@ import jax
 import typer
 
 from ..diagnostics import plot_ranks
-from ..diagnostics.certificate import Certificate, as_table, certify
+from ..diagnostics.certificate import Certificate, as_table, certify, file_name
 from ..files import replace_whole
 from ..models.gallery import GALLERY, Known
 from ..presets import SAMPLERS
@@ -78,5 +78,5 @@ def _write(out: Path, found: dict[str, dict[str, Certificate]]) -> None:
     if one.calibration is not None:
         axes = plot_ranks(one.calibration)
         axes.set_title(f"{name}: {about}\n{one.verdict}", fontsize=8, wrap=True)
-        file = out / f"{name}-{''.join(c if c.isalnum() else '-' for c in about)}.png"
+        file = out / f"{name}-{file_name(about)}.png"
         replace_whole(file, lambda p: axes.figure.savefig(p, dpi=120, format="png"))

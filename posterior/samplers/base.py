@@ -136,6 +136,18 @@ def vmap_step(sampler: Sampler, keys: jax.Array, states: State) -> tuple[State, 
     return jax.vmap(sampler.step, in_axes=(0, axes), out_axes=(axes, 0))(keys, states)
 
 
+def vmap_own_warmup(sampler: Sampler, keys: jax.Array, states: State, steps: int) -> State:
+    """Many chains, each after its sampler's own warm-up."""
+    axes = chain_axes(states, sampler.shared)
+    own = jax.vmap(lambda k, s: sampler.own_warmup(k, s, steps), in_axes=(0, axes), out_axes=axes)
+    return own(keys, states)
+
+
+def positions(sampler: Sampler, states: State) -> jax.Array:
+    """Where many chains stand: (chains, *shape)."""
+    return jax.vmap(sampler.position, in_axes=(chain_axes(states, sampler.shared),))(states)
+
+
 def langevin_step(
     key: jax.Array, x: jax.Array, score: jax.Array, step: jax.Array, temperature: float = 1.0
 ) -> jax.Array:
@@ -194,3 +206,17 @@ class PopulationSampler(Sampler):
     def position(self, state: State) -> jax.Array:
         """The first object of the population."""
         return self.population(state)[0]
+
+
+def vmap_population(
+    sampler: PopulationSampler, keys: jax.Array, posterior: Posterior, size: int
+) -> State:
+    """States of many populations of `size` objects, at their beginning."""
+    example = eqx.filter_eval_shape(sampler.init, keys[0], posterior, size)
+    axes = chain_axes(example, sampler.shared)
+    return jax.vmap(lambda k: sampler.init(k, posterior, size), out_axes=axes)(keys)
+
+
+def populations(sampler: PopulationSampler, states: State) -> jax.Array:
+    """The objects of many populations: (populations, size, *shape)."""
+    return jax.vmap(sampler.population, in_axes=(chain_axes(states, sampler.shared),))(states)
