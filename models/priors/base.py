@@ -41,6 +41,20 @@ class Prior(eqx.Module):
         """Annealing level below which the score does not change: 0 unless it was learnt."""
         return 0.0
 
+    @property
+    def stiffness(self) -> jax.Array | float:
+        """Largest curvature of the log-density, in the object's units^-2: a bound on steps.
+
+        Exact for Gaussians; of others it is that at one draw, an approximation, by the whole
+        Hessian: for few unknowns.
+        """
+
+        def log_prob(v: jax.Array) -> jax.Array:
+            return self.log_prob(self._to_object(v))
+
+        at = self._to_vector(self.sample(jax.random.key(0)))
+        return jnp.maximum(jnp.linalg.eigvalsh(-jax.hessian(log_prob)(at))[-1], 0.0)
+
     @abc.abstractmethod
     def sample(self, key: jax.Array) -> jax.Array:
         """One object: `shape`, `dtype`."""

@@ -91,6 +91,11 @@ class GaussianField(Prior):
         """Standard deviation of one pixel, per real component."""
         return jnp.sqrt(self.power.mean())
 
+    @property
+    def stiffness(self) -> jax.Array:
+        """Of the frequency that varies least."""
+        return jnp.max(1 / self.power)
+
     def sample(self, key: jax.Array) -> jax.Array:
         """One field: white noise, coloured in Fourier space."""
         white = normal_like(key, jnp.zeros(self.shape, self.dtype))

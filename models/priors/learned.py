@@ -87,6 +87,11 @@ class LearnedPrior(Prior):
         """The finest trained level."""
         return self.statistics.sigma_min
 
+    @property
+    def stiffness(self) -> float:
+        """The precision of the finest trained level, which no curvature exceeds."""
+        return 1 / self._component_sd(self.finest) ** 2
+
     @abc.abstractmethod
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
         """Score of channels (h, w, c) at a level at or above the finest."""

@@ -9,11 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..models.annealing import component_sd
 from ..models.likelihood import LinearLikelihood
-from ..models.priors import GaussianField, Prior, ScorePrior
+from ..models.priors import ScorePrior
 from ..models.priors.learned import LearnedPrior
-from ..models.realview import from_real, to_real
 from ..problem import Posterior
 from ..samplers import (
     DPS,
@@ -47,26 +45,7 @@ def _ula(posterior: Posterior) -> ULA:
     # A fifth of the stiffest variance: the step's own bias is then 10 % of it at most.
     complex_object = jnp.issubdtype(posterior.dtype, jnp.complexfloating)
     data = posterior.likelihood.curvature(complex_object, posterior.y, 0.0, "convolved")
-    return ULA(step_size=0.2 / float(jnp.max(data) + _stiffest(posterior.prior)))
-
-
-def _stiffest(prior: Prior) -> jax.Array | float:
-    """Largest curvature of the log-density, which a learned prior's finest level bounds.
-
-    Of analytic priors of few unknowns: at one draw.
-    """
-    if isinstance(prior, GaussianField):
-        return jnp.max(1 / prior.power)
-    if prior.finest > 0:
-        return 1 / component_sd(prior.finest, prior.complex_valued) ** 2
-
-    def log_prob(v: jax.Array) -> jax.Array:
-        return prior.log_prob(from_real(v, prior.shape, prior.dtype))
-
-    curvatures = jnp.linalg.eigvalsh(
-        -jax.hessian(log_prob)(to_real(prior.sample(jax.random.key(0))))
-    )
-    return jnp.maximum(curvatures[-1], 0.0)
+    return ULA(step_size=0.2 / float(jnp.max(data) + posterior.prior.stiffness))
 
 
 _ANNEALED = {"levels": 200, "steps": 5}

@@ -12,6 +12,7 @@ from faults import GaussianCase, MixtureCase
 import posterior as ps
 from posterior import models, samplers
 from posterior.diagnostics import holm, sbc, uniformity
+from posterior.models.gallery import one_complex_pixel
 
 pytestmark = pytest.mark.slow
 
@@ -26,15 +27,6 @@ class Denoising:
         models.LinearLikelihood(models.Identity((32, 32)), models.Gaussian(0.5)),
         models.GaussianField(np.ones((32, 32))),
     )
-
-
-def one_complex_pixel():
-    """The paper's toy: the modulus is recorded, the prior has three places."""
-    means = np.array([[0.5, 0.0], [-0.3, 0.4], [0.0, -0.6]])
-    covariances = np.stack([0.01 * np.eye(2)] * 3)
-    prior = models.GaussianMixture(np.ones(3) / 3, means, covariances, (1,), complex)
-    likelihood = models.IntensityLikelihood(models.Identity((1,)), models.Poisson(100))
-    return ps.Problem(likelihood, prior)
 
 
 FAULTS = {
@@ -98,12 +90,13 @@ def test_false_alarms_of_an_exact_sampler_are_as_many_as_stated():
 
 def test_the_printed_equation_is_caught_and_the_consistent_one_is_closer():
     """Paper, eq:complex_final, beside the default: the largest distance of ranks from uniform."""
-    run = {"chains": 40, "draws": 1}
+    known, run = one_complex_pixel(), {"chains": 40, "draws": 1}
+    problem = ps.Problem(known.likelihood, known.prior)
     settings = {"levels": 200, "steps": 5, "path": "split"}
     distances = {}
     for name, published in (("consistent", False), ("printed", True)):
         sampler = samplers.AnnealedLangevin(**settings, published=published)
-        found, p_values = pooled(one_complex_pixel(), sampler, 800, independent=True, **run)
+        found, p_values = pooled(problem, sampler, 800, **run)
         caught = {size: rejections(p_values(size)).mean() for size in SIZES[:4]}
         distances[name] = max(scipy.stats.kstest(u, "uniform").statistic for u in found.ranks.T)
         print(f"\n{name}: caught at {smallest(caught)}; {found.verdict()}")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from analytic import wiener
 
 from posterior.models import priors
 from posterior.models.priors.perturbation import perturbed
@@ -257,3 +258,26 @@ BAD = [
 def test_bad_input_is_one_sentence(build, sentence):
     with pytest.raises(ValueError, match=sentence):
         build()
+
+
+# ---- stiffness -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+def test_stiffness_is_the_largest_precision(x64, dtype):
+    _, means, covariances = mixture_parts(dtype)
+    gaussian = priors.Gaussian(means[0], covariances[0], (3,), dtype)
+    largest = 1 / np.linalg.eigvalsh(covariances[0])[0]
+    assert float(gaussian.stiffness) == pytest.approx(largest)
+
+
+def test_stiffness_of_a_field_is_that_of_its_hessian(x64):
+    prior = field(float)
+    assert float(prior.stiffness) == pytest.approx(float(priors.Prior.stiffness.fget(prior)))
+
+
+def test_stiffness_of_a_network_bounds_that_of_what_it_knows(x64):
+    """Independent normal pixels of sd 0.25, learnt from 0.001 on."""
+    prior = priors.EnergyPrior(wiener("energy"), (3, 3))
+    assert prior.stiffness == pytest.approx(1e6)
+    assert float(priors.Prior.stiffness.fget(prior)) == pytest.approx(1 / 0.25**2, rel=1e-3)

@@ -22,6 +22,7 @@ def test_it_writes_a_table_numbers_and_pictures_and_goes_on(tmp_path, capsys):
     numbers = json.loads((tmp_path / "certificate.json").read_text())
     found = numbers["ula"]["linear Gaussian, 4 rows of 32"]
     assert found["simulations"] == 20 and found["verdict"] in said
+    assert not found["verdict"].startswith("fails")
     assert (tmp_path / "ula-linear-Gaussian--4-rows-of-32.png").stat().st_size > 10_000
     # Finished simulations are read again, under the same seed alone.
     assert certify(tmp_path, *chosen, "--quiet") == 0

@@ -8,6 +8,7 @@ import pytest
 import posterior as ps
 from known import grid_posterior
 from posterior import diagnostics, models, samplers
+from posterior.models.gallery import one_complex_pixel
 
 
 def draw(post, sampler, key=1, **settings):
@@ -17,22 +18,15 @@ def draw(post, sampler, key=1, **settings):
 
 # ---- one complex pixel ---------------------------------------------------------------------------
 
-WEIGHTS = np.array([0.6, 0.3, 0.1])
-CENTRES = 0.75 * np.exp(1j * np.array([0.3, 2.5, -1.7]))
-
-
-def ring_prior():
-    """Three phases of one amplitude: the data cannot tell them apart, only the prior does."""
-    means = np.stack([CENTRES.real, CENTRES.imag], axis=1)
-    covariances = np.broadcast_to(0.15**2 * np.eye(2), (3, 2, 2))
-    return models.GaussianMixture(WEIGHTS, means, covariances, (1,), complex)
+CENTRES = one_complex_pixel().modes[:, 0]
 
 
 def one_pixel(sigma_0):
-    camera = models.Poisson(round(1 / sigma_0**2))
-    likelihood = models.IntensityLikelihood(models.Identity((1,)), camera)
-    counts = round(0.75**2 * camera.full_well)
-    return ps.Problem(likelihood, ring_prior()).condition(np.array([counts / camera.full_well]))
+    """Three phases of one amplitude: the data cannot tell them apart, only the prior does."""
+    known = one_complex_pixel(sigma_0)
+    full_well = known.likelihood.camera.full_well
+    counts = round(0.75**2 * full_well)
+    return ps.Problem(known.likelihood, known.prior).condition(np.array([counts / full_well]))
 
 
 def nearest(values, centres):
