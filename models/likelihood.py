@@ -160,8 +160,10 @@ class LinearLikelihood(Likelihood):
         "gaussian": H^T (y - Hx)/(noise variance -+ annealing variance); exact for Gaussian noise if
         H H^H is diagonal, and exact for Poisson counts (without quantisation) at sigma = 0. The
         noise of counts is that of the light in `clean`, E[object | x~], or for want of it in x.
-        "signal": eq:log_p_y_x_tilde, for the identity and Poisson counts only. A saturated pixel
-        counts as "at least this", with Gaussian noise.
+        "signal": for the identity and Poisson counts only; along "split" eq:log_p_y_x_tilde,
+        along "convolved" its first two moments as a count has them, (y - x)/((sigma_0^2 + sigma^2)
+        x), exact for Poisson counts at sigma = 0. A saturated pixel counts as "at least this", with
+        Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
@@ -171,11 +173,15 @@ class LinearLikelihood(Likelihood):
         noise, gain = self._noise_at(light, jnp.iscomplexobj(x))
         variance = annealing.remaining_variance(noise, gain * sigma**2, path)
         score = annealing.counts_score(field, y, variance)
-        if math.isfinite(self.camera.saturation):
-            edge = self.camera.saturation
-            saturated = annealing.saturated_score(field, edge, variance)
-            score = jnp.where(y > edge, saturated, score)
-        return self._to_object(score, x)
+        return self._to_object(self._where_saturated(score, field, y, variance), x)
+
+    def _where_saturated(
+        self, score: jax.Array, expected: jax.Array, y: jax.Array, variance: jax.Array
+    ) -> jax.Array:
+        edge = self.camera.saturation
+        if not math.isfinite(edge):
+            return score
+        return jnp.where(y > edge, annealing.saturated_score(expected, edge, variance), score)
 
     def _signal_score(
         self, x: jax.Array, y: jax.Array, sigma: jax.Array | float, path: str
@@ -187,7 +193,11 @@ class LinearLikelihood(Likelihood):
             )
         noise = jnp.asarray(self.camera.sigma0**2, x.dtype)
         variance = annealing.remaining_variance(noise, sigma**2, path)
-        return annealing.signal_score(x, y, variance)
+        if path == "split":
+            score = annealing.signal_score(x, y, variance)
+        else:
+            score = annealing.counts_score(x, y, variance * x)
+        return self._where_saturated(score, x, y, variance * x)
 
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Variance of the recorded signal (per real component), and the annealing gain."""

@@ -161,14 +161,13 @@ class Posterior(eqx.Module):
     def annealing_variance(self, sigma: jax.Array | float, path: str) -> jax.Array:
         """The smaller of the level's variance and the likelihood's own, harmonically joined.
 
-        What a Langevin step at this level may be measured by; a scalar, or one value a pixel.
+        What a Langevin step at this level may be measured by; a scalar, or one value a pixel. For
+        the signal perturbation, whose variance is sigma^2 x, that of the root sqrt(x).
         """
         level = jnp.asarray(component_sd(sigma, self._complex)) ** 2
         if self.prior.perturbation == "signal":
-            # The error's variance is sigma^2 x; the data stand in for x, so the step is fixed.
-            brightness = jnp.maximum(self.y, self.likelihood.camera.sigma0**2)
             noise = jnp.asarray(self.likelihood.camera.sigma0**2)
-            return brightness / (1 / level + 1 / remaining_variance(noise, level, path))
+            return 0.25 / (1 / level + 1 / remaining_variance(noise, level, path))
         return 1 / (1 / level + self.likelihood.curvature(self._complex, self.y, sigma, path))
 
     def start(self, key: jax.Array) -> jax.Array:

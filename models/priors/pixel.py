@@ -187,6 +187,10 @@ class PixelPrior(Prior):
         weight = jnp.exp(log_weight - jnp.where(jnp.isfinite(log_sum), log_sum, 0.0)[..., None])
         # (clean - x)/clean = 1 - e^{-2w}
         unfolded = jnp.sum(weight * -jnp.expm1(-2 * w), axis=-1)
+        # So far from the table that no node reaches it, its nearest end is the only source.
+        end = jnp.clip(x, self.grid[0], self.grid[-1])
+        at_end = (end - x) / jnp.maximum(end, 1e-12 * self.grid[-1])
+        unfolded = jnp.where(jnp.isfinite(log_sum), unfolded, at_end)
         score = sign * (unfolded - 2 * jax.nn.sigmoid(-2 * x / sigma**2)) / sigma**2
         log_density = log_sum + log_norm + jax.nn.softplus(-2 * x / sigma**2)
         return jnp.where(negative, -jnp.inf, log_density), score

@@ -70,7 +70,8 @@ class AnnealedLangevin(RunSampler):
     annealing error to be independent of the object; modes that the data cannot tell apart (twins,
     shifts, phases) keep the odds of the prior. `polish` cannot move them: check with TemperedSMC.
 
-    For the signal-dependent perturbation the variable must stay positive: it is reflected at zero.
+    For the signal-dependent perturbation steps are taken in the root sqrt(x), reflected at zero:
+    there the error has one variance at every brightness, and the object stays positive.
     """
 
     levels: int = eqx.field(static=True, default=500)
@@ -175,10 +176,13 @@ class AnnealedLangevin(RunSampler):
         score = posterior.annealed_score(x, sigma, self.path, self.published)
         step = self.step_size * posterior.annealing_variance(sigma, self.path)
         fresh = normal_like(key_step, x)
-        shaken = fresh if self.published else (noise + fresh) / 2
-        x = x + (step * score + jnp.sqrt(2 * step) * shaken).astype(x.dtype)
+        shaken = jnp.sqrt(2 * step) * (fresh if self.published else (noise + fresh) / 2)
         if posterior.positive:
-            x, fresh = jnp.abs(x), jnp.where(x < 0, -fresh, fresh)
+            root = jnp.sqrt(x)
+            root = root + _drift_of_root(root, score, step) + shaken
+            x, fresh = jnp.square(root), jnp.where(root < 0, -fresh, fresh)
+        else:
+            x = x + (step * score + shaken).astype(x.dtype)
         info = AnnealedInfo(sigma, jnp.linalg.norm(score), jnp.full((), jnp.nan, sigma.dtype))
         return state._replace(position=x, noise=fresh), info
 
@@ -217,6 +221,17 @@ class AnnealedLangevin(RunSampler):
         return state, AnnealedInfo(
             jnp.zeros_like(state.sigmas[0]), jnp.linalg.norm(mala.score), info.acceptance_rate
         )
+
+
+def _drift_of_root(root: jax.Array, score: jax.Array, step: jax.Array) -> jax.Array:
+    """Step times the score of u = sqrt(x), whose density is 2 u p(u^2).
+
+    Near zero it grows like c/u, and a plain step of it overshoots without bound. Followed exactly
+    it would carry a pixel from zero to sqrt(2 step c) and no further; that bounds it.
+    """
+    root = jnp.maximum(root, jnp.finfo(root.dtype).tiny ** 0.25)
+    drift = step * (2 * root * score + 1 / root)
+    return jnp.where(drift > 2 * root, jnp.sqrt(2 * root * jnp.maximum(drift, 0.0)), drift)
 
 
 def _without_shared(state: MALAState) -> MALAState:

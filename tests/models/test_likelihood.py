@@ -169,6 +169,14 @@ def test_few_counts_pull_neither_up_nor_down_if_the_light_is_known(x64, electron
     assert biased.mean() > 10 * biased.std() / np.sqrt(n)
 
 
+@pytest.mark.parametrize("x", [0.03, 0.4, 0.97])
+def test_annealed_score_by_the_signal_dependent_error_ends_at_the_exact_score(x64, x):
+    likelihood = models.LinearLikelihood(models.Identity((4,)), models.Poisson(50))
+    x, y = jnp.full(4, x), jnp.asarray([0.0, 1.0, 7.0, 40.0]) / 50
+    found = likelihood.annealed_score(x, y, 1e-9, perturbation="signal")
+    np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["intensity, counts", "intensity, counts, real"])
 def test_annealed_score_of_intensities_ends_at_the_exact_score(x64, name):
     likelihood, x = case(name)

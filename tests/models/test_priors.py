@@ -168,6 +168,23 @@ def test_pixel_prior_score_is_the_gradient_of_its_density(x64, sigma):
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3)
 
 
+def test_pixel_prior_pulls_back_from_far_outside_its_table(x64):
+    """Where no node of the quadrature meets the table: 1 to 100 times its end, and under its start.
+
+    Against a dense integral over the table, to the next order of Laplace's method.
+    """
+    grid = np.linspace(0.5, 1.0, 201)
+    prior, sigma = priors.PixelPrior(grid, np.ones(201), (5,)), 0.02
+    z = np.asarray([1e-3, 0.02, 2.0, 10.0, 100.0])
+    clean = np.linspace(0.5, 1.0, 400_001)
+    log_kernel = -((z[:, None] - clean) ** 2) / (2 * sigma**2 * clean) - np.log(clean) / 2
+    weight = scipy.special.softmax(log_kernel, axis=1)
+    expected = np.sum(weight * (clean - z[:, None]) / (sigma**2 * clean), axis=1)
+    # Below zero's neighbourhood the fold has its say, of tanh(z/sigma^2).
+    expected += np.asarray(jnp.tanh(z / sigma**2) - 1) / sigma**2
+    np.testing.assert_allclose(prior.score(jnp.asarray(z), sigma), expected, rtol=2e-2)
+
+
 def test_pixel_prior_folds_at_zero(x64):
     """Nothing below zero, all of it above, and no slope at zero."""
     prior = priors.PixelPrior.gamma(3.0, 4.0, (1,))

@@ -177,6 +177,21 @@ def test_annealed_langevin_is_calibrated_on_a_field_of_few_photons(mean, sd):
         assert abs(ratio - 1) < 0.08
 
 
+def test_annealed_langevin_by_the_signal_dependent_error_on_few_photons(x64):
+    """Seven photons a pixel: in the dark steps must not overshoot, nor the score be a Gaussian's.
+
+    Every pixel by itself, to Monte-Carlo error and what 60 levels of 4 steps leave.
+    """
+    post, concentration, rate = gamma_poisson(3.0, 20.0, 8, 50)
+    sampler = samplers.AnnealedLangevin(levels=60, steps=4)
+    values = draw(post, sampler, chains=250, draws=1)[:, 0]
+    mean, sd = concentration / rate, np.sqrt(concentration) / rate
+    off = (values.mean(axis=0) - mean) / sd
+    assert np.abs(off).max() < 4.5 / np.sqrt(250)
+    assert abs(off.mean()) < 0.05
+    assert abs(np.mean(values.std(axis=0) / sd) - 1) < 0.05
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", ["convolved", "split"])
 def test_annealed_langevin_on_counts_by_the_signal_dependent_error(x64, path):
