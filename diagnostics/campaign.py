@@ -1,23 +1,30 @@
-"""Simulations by the hundred: an object, its recording, draws given it; in compiled batches."""
+"""Simulations by the thousand: an object, its recording, draws given it; in compiled batches."""
 
 import os
 import time
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from concurrent.futures import Executor
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.progress import Progress
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..checkpoint import Checkpoint, fingerprint
+from ..checkpoint import fingerprint
 from ..problem import Posterior, Problem
 from ..samplers.base import Sampler
 from ..samplers.checks import check_run
 from ..sampling import NonFiniteError
 from ..whole_run import whole_run
+from .executors import completed
 from .quantities import Quantity
+from .shards import Shard, Shards
 
 Drawer = Callable[[jax.Array, Posterior], jax.Array]
 
@@ -60,19 +67,32 @@ def simulate(
     *,
     batch: int = _BATCH,
     folder: str | os.PathLike | None = None,
+    executor: Executor | None = None,
     progress: bool = True,
 ) -> Simulations:
     """`count` draws of the joint distribution, each with draws of its posterior by `sampler`.
 
     `sampler` may be a function (key, posterior) -> (chains, draws, *shape), traceable by JAX; then
     `settings` are not used. Simulation i depends on `fold_in(key, i)` alone, so that more of them
-    go on where fewer ended. Only the quantities are held. `batch` of them run at a time: memory and
-    speed, not results, beyond rounding. `folder`: killed at any moment, a campaign goes on from
-    there and repeats nothing but the batch that was running. It belongs to what is computed, the
-    constants of functions included.
+    go on where fewer ended. Only the quantities are held. `batch` of them run at a time, split over
+    the devices that this process sees (or on `jax_default_device`, if that is set): memory and
+    speed, not results, beyond rounding.
+
+    `folder`: each batch is kept in a file of its own, and a campaign killed at any moment goes on
+    with the same call, which repeats nothing but the batches that were running. It belongs to what
+    is computed, the constants of functions included. Processes that share it do the work twice, and
+    no harm.
+
+    `executor`: who computes the batches; None: this process. Results are the same, bit for bit,
+    whichever of one kind of machine computes them. Any `concurrent.futures.Executor` will do, such
+    as Dask's `Client.get_executor()`, or `ProcessPoolExecutor` by "spawn": JAX may hang in
+    processes made by fork. With cloudpickle, which the extra `cluster` installs, functions of any
+    kind are sent, without it those at the top of a module.
+
     Raises ValueError for bad settings, quantities that are no real scalars or not defined for an
-    object, draws of another shape and a folder of another campaign; NonFiniteError with the number
-    of the simulation whose run diverged.
+    object, draws of another shape, a folder of another campaign or with a damaged file, functions
+    that cannot be sent, and processes made by fork or of other versions; NonFiniteError with the
+    number of a simulation whose run diverged.
     """
     for name, value in (("count", count), ("batch", batch)):
         if int(value) != value or value < 1:
@@ -80,37 +100,98 @@ def simulate(
     if not quantities:
         raise ValueError("no quantities: give {name: f(x, y)}, one or more")
     check_run(settings.chains, settings.draws, settings.thin, settings.warmup)
-    names, store = tuple(quantities), None
-    pieces: list[dict[str, np.ndarray]] = []
-
-    def arguments(done: int) -> tuple:
-        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(done + jnp.arange(batch))
-        return problem, sampler, names, tuple(quantities.values()), settings, keys
-
-    if folder is not None:
-        program = _batch.lower(*arguments(0)).as_text()
-        parts = (names, program, problem, quantities, key, batch)
-        own = sampler if isinstance(sampler, Sampler) else None
-        store = Checkpoint(folder, fingerprint(*parts, own))
-        found = store.load(np.asarray(0))
-        pieces = store.shards(found[1]) if found else []
-    with Progress(disable=not progress) as bar:
-        task = bar.add_task("simulations", total=count)
-        while (done := batch * len(pieces)) < count:
-            bar.update(task, completed=done)
-            began = time.perf_counter()
-            truths, draws = (np.asarray(a) for a in _batch(*arguments(done)))
-            seconds = np.asarray(time.perf_counter() - began)
-            pieces.append({"truths": truths, "draws": draws, "seconds": seconds})
-            _refuse_nan(truths[: count - done], draws[: count - done], done, names)
-            if store is not None:
-                store.save(np.asarray(done + batch), len(pieces), pieces[-1])
-        bar.update(task, completed=count)
-    truths, draws = (np.concatenate([p[k] for p in pieces])[:count] for k in ("truths", "draws"))
+    count, batch = int(count), int(batch)
+    campaign = _Campaign(problem, sampler, key, dict(quantities), settings, batch)
+    shards = _shards(campaign, count, folder, executor, progress)
+    truths, draws = (np.concatenate([s[k] for s in shards])[:count] for k in ("truths", "draws"))
+    names = tuple(quantities)
     _refuse_nan(truths, draws, 0, names)
-    seconds = float(sum(p["seconds"] for p in pieces))
+    seconds = float(sum(s["seconds"] for s in shards))
     # A density of 0 has a rank too: the lowest.
     return Simulations(names, np.nan_to_num(truths), np.nan_to_num(draws), seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Campaign:
+    """What is simulated; called with a number, that batch of it."""
+
+    problem: Problem
+    sampler: Sampler | Drawer
+    key: jax.Array
+    quantities: dict[str, Quantity]
+    settings: Settings
+    batch: int
+
+    def __call__(self, number: int) -> Shard:
+        began = time.perf_counter()
+        found = _batch(*self._arguments(number, _mesh()))
+        truths, draws = (np.asarray(a)[: self.batch] for a in found)
+        seconds = np.asarray(time.perf_counter() - began)
+        return {"truths": truths, "draws": draws, "seconds": seconds}
+
+    def identity(self) -> str:
+        """A hash of what is computed, on however many devices."""
+        arguments = self._arguments(0, None)
+        # Of the program all but its arrays is in its text, in which functions have no address.
+        program = _batch.lower(*arguments).as_text()
+        names, arrays = tuple(self.quantities), jax.tree.leaves(eqx.filter(arguments, eqx.is_array))
+        return fingerprint(names, program, arrays, self.key, self.batch)
+
+    def parts(self) -> dict[str, Any]:
+        """What it is made of, by the names that errors give them."""
+        named = {f"quantity {name}": f for name, f in self.quantities.items()}
+        return {"the problem": self.problem, "the sampler": self.sampler, **named}
+
+    def _arguments(self, number: int, mesh: Mesh | None) -> tuple:
+        devices = 1 if mesh is None else mesh.size
+        # Every device has as many: those beyond the batch are cut off.
+        rows = -(-self.batch // devices) * devices
+        index = number * self.batch + jnp.arange(rows)
+        keys = jax.vmap(lambda i: jax.random.fold_in(self.key, i))(index)
+        # JAX would sort a dictionary.
+        fixed = self.problem, self.sampler, tuple(self.quantities), tuple(self.quantities.values())
+        if mesh is not None:
+            arrays, others = eqx.partition(fixed, eqx.is_array)
+            arrays = jax.device_put(arrays, NamedSharding(mesh, PartitionSpec()))
+            fixed = eqx.combine(arrays, others)
+            keys = jax.device_put(keys, NamedSharding(mesh, PartitionSpec(mesh.axis_names)))
+        return *fixed, self.settings, keys, mesh
+
+
+def _shards(
+    campaign: _Campaign,
+    count: int,
+    folder: str | os.PathLike | None,
+    executor: Executor | None,
+    progress: bool,
+) -> list[Shard]:
+    """The batches of `count` simulations: those of the folder, and the others computed."""
+    batch, names = campaign.batch, tuple(campaign.quantities)
+    numbers = range(-(-count // batch))
+    store = None if folder is None else Shards(folder, campaign.identity())
+    shards = {} if store is None else store.found(len(numbers))
+    missing = [i for i in numbers if i not in shards]
+    # Closed, so that what has not begun is cancelled on an error.
+    results = closing(completed(campaign, missing, executor))
+    with _bar(progress) as bar, results as found:
+        done = sum(min(batch, count - i * batch) for i in shards)
+        task = bar.add_task("simulations", total=count, completed=done)
+        for i, shard in found:
+            asked = min(batch, count - i * batch)
+            _refuse_nan(shard["truths"][:asked], shard["draws"][:asked], i * batch, names)
+            if store is not None:
+                store.put(i, shard)
+            shards[i] = shard
+            bar.advance(task, asked)
+    return [shards[i] for i in numbers]
+
+
+def _mesh() -> Mesh | None:
+    """The devices that a batch is split over; None for one."""
+    devices = jax.local_devices()
+    if len(devices) == 1 or jax.config.jax_default_device is not None:
+        return None
+    return Mesh(np.asarray(devices), ("simulations",))
 
 
 @eqx.filter_jit
@@ -121,6 +202,7 @@ def _batch(
     quantities: tuple[Quantity, ...],
     settings: Settings,
     keys: jax.Array,
+    mesh: Mesh | None,
 ) -> tuple[jax.Array, jax.Array]:
     def one(key: jax.Array) -> tuple[jax.Array, jax.Array]:
         key_joint, key_run = jax.random.split(key)
@@ -138,7 +220,13 @@ def _batch(
         truth = asked(x)
         return truth, recorded(sampler, posterior, key_run, settings, asked)
 
-    return jax.vmap(one)(keys)
+    if mesh is None:
+        return jax.vmap(one)(keys)
+    # Every device loops as long as its own simulations do, and none waits for another.
+    split = PartitionSpec(mesh.axis_names)
+    return jax.shard_map(
+        jax.vmap(one), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+    )(keys)
 
 
 def recorded(
@@ -178,3 +266,17 @@ def _refuse_nan(truths: np.ndarray, draws: np.ndarray, first: int, names: tuple[
             f"simulation {first + i}: {names[q]} of a draw is NaN: the run diverged, give the "
             "sampler a smaller step"
         )
+
+
+def _bar(show: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not show,
+        transient=True,
+        # A batch may take minutes: the speed is that of all of them.
+        speed_estimate_period=float("inf"),
+    )

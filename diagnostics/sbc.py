@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import jax
@@ -90,6 +91,7 @@ def sbc(
     independent: bool | None = None,
     batch: int = 32,
     folder: str | os.PathLike | None = None,
+    executor: Executor | None = None,
     progress: bool = True,
 ) -> Calibration:
     """Simulation-based calibration of `sampler` on `problem` (Cook et al. 2006, Talts et al. 2018).
@@ -116,7 +118,7 @@ def sbc(
         raise ValueError(f"{draws} draws a chain: give 8 or more, to know how far they depend")
     names, truths, found, seconds = simulate(
         problem, sampler, key, simulations, quantities, settings,
-        batch=batch, folder=folder, progress=progress,
+        batch=batch, folder=folder, executor=executor, progress=progress,
     )  # fmt: skip
     kept = np.ones(found.shape, bool) if independent else thinned(found)
     flat, kept = (a.reshape(len(a), -1, len(names)) for a in (found, kept))
