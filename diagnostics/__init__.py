@@ -2,17 +2,32 @@
 
 from .campaign import Settings, Simulations, simulate
 from .certificate import Certificate, certify
+from .certificate_page import as_page
+from .certificate_plot import plot_certificates
+from .component_plot import plot_components, plot_contrast
+from .components import Components, Contrast, contrast, principal_components
 from .conformal import Repair, repair_intervals, widened
-from .convergence import ess, mcse, rhat
+from .convergence import ess, mcse, nested_rhat, rhat
 from .coverage import Coverage, coverage
-from .distance import noise_floor, sliced_wasserstein
+from .distance import (
+    Distance,
+    beside_floor,
+    c2st,
+    mmd,
+    noise_floor,
+    sliced_wasserstein,
+    two_sample_p,
+)
 from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, psnr, ssim
 from .gauge import Gauge, align, gauge_to
+from .joint import JointTest, geweke
 from .modes import Modes, modes
 from .predictive import misfit, predicted, predictive_ranks
 from .quantities import default_quantities
 from .rank_plot import plot_ranks
 from .ranks import randomised_ranks, thinned
 from .sbc import Calibration, sbc
+from .score_count import score_evaluations
 from .spread import circular_mean, circular_sd, interval, interval_width, spread_over_error
+from .stein import ksd, ksd_beside_floor
 from .uniformity import bands, holm, uniformity

@@ -5,33 +5,33 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..models.gallery import GALLERY, Known
 from ..problem import Problem
 from ..samplers.base import RunSampler, Sampler
 from ..sampling import NonFiniteError
-from .campaign import Drawer, SamplerRefusal, Settings, recorded
-from .distance import sliced_wasserstein
+from .beside_exact import RECORDINGS, beside_exact
+from .campaign import Drawer, SamplerRefusal, Settings
 from .quantities import DistanceTo, default_quantities
 from .sbc import Calibration, sbc
 
 LEVELS = (0.5, 0.8, 0.95)
-_RECORDINGS = 8
+VERDICTS = ("passes", "fails", "cannot be judged", "does not apply")
 
 
 class Certificate(NamedTuple):
     """What a sampler is worth on one problem.
 
-    `verdict`: passes, fails, cannot be judged (`Calibration.verdict`), or does not apply, with the
-    sampler's own reason. `distance`: sliced Wasserstein distance from as many exact draws, over
-    that of two exact sets of that size, on average over 8 recordings: 1 is as good as exact and
-    independent. `mode_error`: the largest error of a mode's mass, on average over them, and
-    `mode_floor` that of an exact set; None where the problem has one mode. `seconds` of the
-    simulations, compilation included.
+    `verdict`: passes; fails, in what and by how much; cannot be judged at this budget, and at which
+    it could; or does not apply, with the sampler's own reason. `distance`: sliced Wasserstein
+    distance from as many exact draws, over that of two exact sets of that size, on average over 8
+    recordings: 1 is as good as exact and independent. `mode_error`: the largest error of a mode's
+    mass, on average over them, and `mode_floor` that of an exact set; None where the problem has
+    one mode. `seconds` of the simulations, compilation included. `effective`: independent draws
+    that a run is worth, the median over quantities, and `evaluations`: its prior score evaluations,
+    warm-up included, counted as it runs (`beside_exact.Beside`).
     """
 
     verdict: str
@@ -40,10 +40,30 @@ class Certificate(NamedTuple):
     mode_error: float | None = None
     mode_floor: float | None = None
     seconds: float | None = None
+    effective: float | None = None
+    evaluations: int | None = None
+
+    @property
+    def kind(self) -> str:
+        """The verdict in a word: one of `VERDICTS`."""
+        return next(kind for kind in VERDICTS if self.verdict.startswith(kind))
+
+    @property
+    def p(self) -> float | None:
+        """p-value over all quantities: the smallest of those adjusted for their number (Holm)."""
+        return None if self.calibration is None else min(self.calibration.p.values())
+
+    @property
+    def effective_per_evaluation(self) -> float | None:
+        """Independent draws per prior score evaluation; None where a run makes none."""
+        if self.effective is None or not self.evaluations:
+            return None
+        return self.effective / self.evaluations
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for JSON; p-values and coverage of every quantity among them."""
-        plain = self._asdict() | {"calibration": None}
+        plain = self._asdict() | {"calibration": None, "p": self.p}
+        plain["effective_per_evaluation"] = self.effective_per_evaluation
         if (found := self.calibration) is not None:
             coverage = {f"{level:g}": found.coverage(level) for level in LEVELS}
             plain["calibration"] = {
@@ -74,8 +94,8 @@ def certify(
     `sampler`: one of `posterior.samplers`, or a function (key, posterior) -> (chains, draws,
     *shape) of independent draws, traceable by JAX. `settings`: of a run; None: `settings_of` it.
     `key` None: key 0. `alpha`: with that probability at most an exact sampler fails on any of the
-    problems, each being tested at its share. `folder`: the simulations of each problem are kept
-    there, and a certificate that was interrupted goes on.
+    problems, each being tested at its share. `folder`: the simulations of each problem and its
+    other figures are kept there; a certificate that was interrupted goes on, and repeats nothing.
     """
     key = jax.random.key(0) if key is None else key
     problems = {name: build() for name, build in GALLERY.items()} if problems is None else problems
@@ -100,16 +120,17 @@ def settings_of(sampler: Sampler | Drawer) -> Settings:
 def as_table(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
     """Markdown: a row for each sampler and problem of {sampler: {problem: certificate}}."""
     rows = [
-        "| sampler | problem | verdict | coverage of 50, 80, 95 % where worst "
-        "| distance over floor | error of modes | its floor | s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| sampler | problem | verdict | p over all quantities "
+        "| coverage of 50, 80, 95 % where worst | distance over floor | error of modes "
+        "| its floor | ESS per score evaluation | s |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for sampler, by_problem in certificates.items():
         for problem, found in by_problem.items():
-            cells = [sampler, problem, found.verdict, _worst_coverage(found)]
-            cells += [_said(found.distance, ".2f"), _said(found.mode_error, ".2f")]
-            cells += [_said(found.mode_floor, ".2f"), _said(found.seconds, ".0f")]
-            rows.append(f"| {' | '.join(cells)} |")
+            cells = [sampler, problem, found.verdict, said(found.p, ".2g"), _worst_coverage(found)]
+            cells += [said(found.distance, ".2f"), said(found.mode_error, ".2f")]
+            cells += [said(found.mode_floor, ".2f"), said(found.effective_per_evaluation, ".2g")]
+            rows.append(f"| {' | '.join([*cells, said(found.seconds, '.0f')])} |")
     return "\n".join(rows) + "\n"
 
 
@@ -136,48 +157,44 @@ def _certificate(
         return Certificate(f"does not apply: {error}")
     except NonFiniteError as error:
         return Certificate(f"fails: {error}")
-    keys = jax.random.split(jax.random.fold_in(key, 2**31 + 1), _RECORDINGS)
-    draws, exact, others = (
-        np.asarray(part) for part in _beside_exact(problem, known.exact, sampler, settings, keys)
-    )
-    if not np.all(np.isfinite(draws)):
-        lost = int(np.sum(~np.isfinite(draws.reshape(len(draws), -1)).all(axis=1)))
-        verdict = f"fails: draws of {lost} in {_RECORDINGS} recordings are not finite"
+    file = None if folder is None else folder.with_suffix(".json")
+    key = jax.random.fold_in(key, 2**31 + 1)
+    beside = beside_exact(known, sampler, key, settings, quantities, file)
+    if beside.lost:
+        verdict = f"fails: draws of {beside.lost} in {RECORDINGS} recordings are not finite"
         return Certificate(verdict, calibration, seconds=calibration.seconds)
-    rng = np.random.default_rng(0)
-    distances = [
-        np.mean([sliced_wasserstein(a, b, rng) for a, b in zip(part, exact)])
-        for part in (draws, others)
-    ]
-    errors: tuple[float | None, float | None] = (None, None)
-    if known.modes is not None:
-        masses, *beside = (_masses(part, known.modes) for part in (exact, draws, others))
-        errors = tuple(float(np.abs(m - masses).max(axis=1).mean()) for m in beside)
-    distance = float(distances[0] / distances[1])
+    return Certificate(
+        _verdict(calibration, alpha, settings if isinstance(sampler, Sampler) else None),
+        calibration,
+        beside.distance,
+        beside.mode_error,
+        beside.mode_floor,
+        calibration.seconds,
+        beside.effective,
+        beside.evaluations,
+    )
+
+
+def _verdict(calibration: Calibration, alpha: float, settings: Settings | None) -> str:
+    """The calibration's, with the size of a failure, or the settings that were too few."""
     verdict = calibration.verdict(alpha)
-    return Certificate(verdict, calibration, distance, *errors, calibration.seconds)
-
-
-@eqx.filter_jit
-def _beside_exact(
-    problem: Problem, exact: Any, sampler: Sampler | Drawer, settings: Settings, keys: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Draws (recordings, n, *shape) by the sampler, and two exact sets as large."""
-
-    def one(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        keys = jax.random.split(key, 4)
-        posterior = problem.condition(problem.simulate(keys[0])[1])
-        values = recorded(sampler, posterior, keys[1], settings).reshape(-1, *posterior.shape)
-        return values, *(exact(k, posterior.y, len(values)) for k in keys[2:])
-
-    return jax.vmap(one)(keys)
-
-
-def _masses(draws: np.ndarray, modes: np.ndarray) -> np.ndarray:
-    """Shares (recordings, modes) of the draws (recordings, n, *shape) that are nearest to each."""
-    apart = np.abs(draws[:, :, None] - modes).reshape(*draws.shape[:2], len(modes), -1)
-    nearest = (apart**2).sum(axis=-1).argmin(axis=-1)
-    return (nearest[..., None] == np.arange(len(modes))).mean(axis=1)
+    for name, ranks in zip(calibration.names, calibration.ranks.T):
+        if verdict.startswith(f"fails: {name} (p = "):
+            share, error = calibration.coverage(0.8)[name]
+            return (
+                f"{verdict}; 80 % intervals of it hold {100 * share:.0f} +- {100 * error:.0f} % "
+                f"of truths, whose mean rank is {ranks.mean():.2f}, not 0.50"
+            )
+    if settings is None or not verdict.startswith("cannot be judged"):
+        return verdict
+    chains, draws, _, thin = settings
+    verdict += f" as {chains} chains of {draws} draws, thinned by {thin}"
+    if calibration.effective.min() <= chains:
+        verdict += (
+            "; no chain is worth more than one draw: longer ones help if they are slow, not if "
+            "modes hold them"
+        )
+    return verdict
 
 
 def _worst_coverage(found: Certificate) -> str:
@@ -189,7 +206,8 @@ def _worst_coverage(found: Certificate) -> str:
     return ", ".join(f"{100 * share:.0f}" for share in shares)
 
 
-def _said(value: float | None, form: str) -> str:
+def said(value: float | None, form: str) -> str:
+    """A number in this format; nothing, where there is none."""
     return "" if value is None else format(value, form)
 
 

@@ -1,28 +1,35 @@
 """`posterior certify`: samplers against the problems whose posterior is known."""
 
 import json
+import platform
+import shlex
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
 import jax
 import typer
 
-from ..diagnostics import plot_ranks
-from ..diagnostics.certificate import Certificate, as_table, certify, file_name
+from ..diagnostics.campaign import Settings
+from ..diagnostics.certificate import Certificate, as_table, certify, file_name, settings_of
+from ..diagnostics.certificate_page import as_page, rank_picture
+from ..diagnostics.certificate_plot import plot_certificates
 from ..files import replace_whole
 from ..models.gallery import GALLERY, Known
 from ..presets import SAMPLERS
 from ..problem import Problem
 from ..samplers import Sampler
+from ..samplers.base import RunSampler
 from .options import Quiet
 
 # Of a right sampler to fail on any of the problems.
 _ALPHA = 0.05
 _DEFAULT = ("mala", "nuts", "smc", "annealed", "split-gibbs")
+_VERSIONS = ("posterior-imaging", "jax", "numpy", "equinox", "blackjax")
 
 
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for the table, its numbers and pictures.")],
+    out: Annotated[Path, typer.Option(help="Folder for the page, table, numbers and pictures.")],
     sampler: Annotated[
         list[str], typer.Option(help=f"One of {', '.join(SAMPLERS)}; may be repeated.")
     ] = list(_DEFAULT),  # noqa: B006
@@ -30,6 +37,9 @@ def command(
         list[str] | None, typer.Option(help=f"One of {'; '.join(GALLERY)}; unsaid: all.")
     ] = None,
     simulations: Annotated[int, typer.Option(help="Of each problem, 20 or more.")] = 200,
+    draws: Annotated[
+        int | None, typer.Option(help="Of a chain, 8 or more; draws that are runs are 20.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same simulations.")] = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -39,21 +49,29 @@ def command(
             raise ValueError(f"unknown name {name!r}: use one of {'; '.join(known)}")
     if simulations < 20:
         raise ValueError(f"--simulations {simulations}: give 20 or more, no test sees less")
+    if draws is not None and draws < 8:
+        raise ValueError(f"--draws {draws}: give 8 or more, to know how far they depend")
     problems = {name: GALLERY[name]() for name in problem or GALLERY}
-    key, found = jax.random.key(seed), {}
+    made = _made(sampler, list(problem or ()), simulations, draws, seed)
+    key, found, pictures = jax.random.key(seed), {}, {}
     for name in sampler:
-        found[name] = {}
+        found[name], pictures[name] = {}, {}
         for about, known in problems.items():
             if not quiet:
                 print(f"{name}: {about}", flush=True)
-            one = {about: known}
+            built, one = _built(name, known), {about: known}
             found[name] |= certify(
-                _built(name, known), one, key, simulations,
-                alpha=_ALPHA / len(problems),
+                built, one, key, simulations,
+                settings=_settings(built, draws), alpha=_ALPHA / len(problems),
                 folder=out / "simulations" / name, progress=not quiet,
             )  # fmt: skip
+            picture = rank_picture(found[name][about], f"{name}: {about}")
+            if picture is not None:
+                pictures[name][about] = picture
+                file = out / f"{name}-{file_name(about)}.png"
+                replace_whole(file, lambda p, data=picture: Path(p).write_bytes(data))
             # After each, so that what is done can be read while the rest goes on.
-            _write(out, found)
+            _write(out, found, made, pictures)
     print(as_table(found), end="")
 
 
@@ -64,19 +82,48 @@ def _built(name: str, known: Known) -> Sampler:
     return SAMPLERS[name].build(problem.condition(y))
 
 
-def _write(out: Path, found: dict[str, dict[str, Certificate]]) -> None:
+def _settings(sampler: Sampler, draws: int | None) -> Settings:
+    settings = settings_of(sampler)
+    if draws is None or isinstance(sampler, RunSampler):
+        return settings
+    return settings._replace(draws=draws)
+
+
+def _made(
+    samplers: list[str], problems: list[str], simulations: int, draws: int | None, seed: int
+) -> dict[str, str]:
+    """How the certificates were made: what repeats them."""
+    options = [("--sampler", name) for name in samplers]
+    options += [("--problem", name) for name in problems]
+    options += [("--simulations", str(simulations)), ("--seed", str(seed))]
+    if draws is not None:
+        options.append(("--draws", str(draws)))
+    return {
+        "command": shlex.join(["posterior", "certify", *(word for o in options for word in o)]),
+        "simulations of each problem": str(simulations),
+        "seed": str(seed),
+        "a right sampler fails on any problem": f"with probability {_ALPHA:g} at most",
+        "versions": ", ".join(f"{name} {version(name)}" for name in _VERSIONS),
+        "computer": f"Python {platform.python_version()}, JAX on {jax.default_backend()}",
+    }
+
+
+def _write(
+    out: Path,
+    found: dict[str, dict[str, Certificate]],
+    made: dict[str, str],
+    pictures: dict[str, dict[str, bytes]],
+) -> None:
     plain = {
         name: {about: one.as_dict() for about, one in by_problem.items()}
         for name, by_problem in found.items()
     }
-    replace_whole(
-        out / "certificate.json", lambda p: Path(p).write_text(json.dumps(plain, indent=1))
-    )
-    replace_whole(out / "certificate.md", lambda p: Path(p).write_text(as_table(found)))
-    name, by_problem = list(found.items())[-1]
-    about, one = list(by_problem.items())[-1]
-    if one.calibration is not None:
-        axes = plot_ranks(one.calibration)
-        axes.set_title(f"{name}: {about}\n{one.verdict}", fontsize=8, wrap=True)
-        file = out / f"{name}-{file_name(about)}.png"
-        replace_whole(file, lambda p: axes.figure.savefig(p, dpi=120, format="png"))
+    texts = {
+        "certificate.json": json.dumps(plain, indent=1),
+        "certificate.md": as_table(found),
+        "certificate.html": as_page(found, made, pictures),
+    }
+    for name, text in texts.items():
+        replace_whole(out / name, lambda p, text=text: Path(p).write_text(text, encoding="utf-8"))
+    figure = plot_certificates(found).figure
+    replace_whole(out / "certificate.png", lambda p: figure.savefig(p, dpi=150, format="png"))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from posterior import samplers
+from posterior.diagnostics import beside_exact
 from posterior.diagnostics.campaign import Settings
 from posterior.diagnostics.certificate import as_table, certify, settings_of
 from posterior.models.gallery import linear_gaussian, mixture_linear, one_complex_pixel
@@ -39,7 +40,21 @@ def test_a_sampler_of_ten_lines_that_is_wrong_fails():
         return (mean + (draws - mean) / 1.4)[None]
 
     found = certified(narrow, LINEAR, 100)
-    assert found.verdict.startswith("fails")
+    assert found.verdict.startswith("fails: ")
+    # By how much: the quantity that is named covers too little.
+    name = found.verdict.removeprefix("fails: ").split(" (p = ")[0]
+    share, error = found.calibration.coverage(0.8)[name]
+    assert f"80 % intervals of it hold {100 * share:.0f} +- {100 * error:.0f} %" in found.verdict
+    assert found.p == found.calibration.p[name] < 0.05
+
+
+def test_chains_that_hardly_move_are_not_judged_and_their_budget_is_named():
+    found = certified(samplers.ULA(1e-7), LINEAR, 20, settings=Settings(2, 50, 0, 1))
+    assert found.verdict.startswith("cannot be judged: 2 independent draws of ")
+    assert "take at least 2.5 times as many as 2 chains of 50 draws, thinned by 1" in found.verdict
+    assert "no chain is worth more than one draw" in found.verdict
+    assert found.evaluations == 2 * 50 and 1 <= found.effective < 8
+    assert found.effective_per_evaluation == found.effective / found.evaluations
 
 
 @pytest.mark.slow
@@ -87,6 +102,11 @@ def test_the_table_has_a_row_for_each(table):
 def test_its_numbers_are_json(table):
     plain = json.loads(json.dumps({k: v["a"].as_dict() for k, v in table.items()}))
     assert plain["exact"]["simulations"] == 20
+    by_quantity = [one["p"] for one in plain["exact"]["calibration"].values()]
+    assert plain["exact"]["p"] == min(by_quantity) and plain["emcee"]["p"] is None
+    # A function of exact draws asks for no score.
+    assert plain["exact"]["effective"] == 50 and plain["exact"]["evaluations"] == 0
+    assert plain["exact"]["effective_per_evaluation"] is None
     assert set(plain["exact"]["calibration"]["squared norm"]) == {"p", "draws", "coverage"}
     assert plain["emcee"]["calibration"] is None
 
@@ -96,11 +116,19 @@ def test_settings_of_samplers_whose_draws_are_runs():
     assert settings_of(samplers.MALA()).chains == 4
 
 
-def test_an_interrupted_certificate_goes_on(tmp_path):
+def test_an_interrupted_certificate_goes_on_and_repeats_nothing(tmp_path, monkeypatch):
     def exact(key, posterior):
         return LINEAR.exact(key, posterior.y, 20)[None]
 
     first = certified(exact, LINEAR, 20, folder=tmp_path)
-    again = certified(exact, LINEAR, 20, folder=tmp_path)
+    with monkeypatch.context() as patched:
+        patched.setattr(beside_exact, "_figures", lambda *_: pytest.fail("compared again"))
+        again = certified(exact, LINEAR, 20, folder=tmp_path)
     assert jnp.array_equal(first.calibration.ranks, again.calibration.ranks)
-    assert (tmp_path / "it" / "run.json").exists()
+    assert first._replace(calibration=None) == again._replace(calibration=None)
+    assert any((tmp_path / "it").iterdir())
+    # Figures of another sampler are not taken for this one's.
+    kept = json.loads((tmp_path / "it.json").read_text())
+    kept |= {"fingerprint": "another", "figures": kept["figures"] | {"distance": 9.0}}
+    (tmp_path / "it.json").write_text(json.dumps(kept))
+    assert certified(exact, LINEAR, 20, folder=tmp_path).distance == first.distance
