@@ -4,11 +4,13 @@ from .campaign import Settings, Simulations, simulate
 from .certificate import Certificate, certify
 from .certificate_page import as_page
 from .certificate_plot import plot_certificates
+from .chain_plot import plot_chains
 from .component_plot import plot_components, plot_contrast
 from .components import Components, Contrast, contrast, principal_components
 from .conformal import Repair, repair_intervals, widened
 from .convergence import ess, mcse, nested_rhat, rhat
 from .coverage import Coverage, coverage
+from .coverage_plot import plot_coverage
 from .distance import (
     Distance,
     beside_floor,
@@ -22,6 +24,7 @@ from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, p
 from .gauge import Gauge, align, gauge_to
 from .joint import JointTest, geweke
 from .modes import Modes, modes
+from .posterior_sbc import posterior_sbc
 from .predictive import misfit, predicted, predictive_ranks
 from .quantities import default_quantities
 from .rank_plot import plot_ranks

@@ -5,6 +5,7 @@
 
 from . import annealing, camera, gallery, likelihood, optics, priors
 from .camera import Camera, Gaussian, Poisson, PoissonGaussian
+from .exposures import Exposures
 from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
 from .optics import (
     Blur,
