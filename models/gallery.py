@@ -13,8 +13,17 @@ import numpy as np
 
 from .camera import Gaussian as GaussianCamera
 from .camera import Poisson
+from .laplace import laplace
 from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
-from .optics import Blur, Fourier, Identity, Matrix
+from .optics import (
+    Blur,
+    CodedDiffraction,
+    Fourier,
+    FourierPtychography,
+    Identity,
+    Matrix,
+    Optics,
+)
 from .priors import Gaussian, GaussianField, GaussianMixture, PixelPrior
 from .priors.base import Prior
 from .realview import from_real, to_real
@@ -96,23 +105,25 @@ def mixture_linear(size: int = 8, rows: int = 2, modes: int = 9, noise: float = 
     means = 3 * rng.standard_normal((modes, size))
     weights = rng.dirichlet(np.full(modes, 3.0))
     matrix = rng.standard_normal((rows, size)) / np.sqrt(size)
-    gain, rest = _conditioned(np.eye(size), matrix, noise)
-    seen = np.linalg.cholesky(matrix @ matrix.T + noise**2 * np.eye(rows))
-    cholesky = np.linalg.cholesky(rest)
+    return _unit_mixture(weights, means, matrix, noise)
 
-    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
-        off = y - means @ matrix.T
-        scaled = jax.scipy.linalg.solve_triangular(jnp.asarray(seen, y.dtype), off.T, lower=True)
-        evidence = np.log(weights) - 0.5 * jnp.sum(scaled**2, axis=0)
-        centres = means + off @ gain.T
-        key_mode, key_noise = jax.random.split(key)
-        mode = jax.random.categorical(key_mode, evidence, shape=(count,))
-        return centres[mode] + jax.random.normal(key_noise, (count, size)) @ cholesky.T
 
-    covariances = np.broadcast_to(np.eye(size), (modes, size, size))
-    prior = GaussianMixture(weights, means, covariances, (size,))
-    likelihood = LinearLikelihood(Matrix(matrix), GaussianCamera(noise))
-    return Known(likelihood, prior, exact, "closed form", means)
+def mixture_of_25(size: int = 8, rows: int = 1, seed: int = 0) -> Known:
+    """The mixture that papers on diffusion posteriors compare samplers on; `seed`: which of them.
+
+    25 unit Gaussians at (8i, 8j, 8i, 8j, ...), i and j from -2 to 2, with the squares of normal
+    numbers for weights; a matrix with uniform singular values; noise uniform up to the largest of
+    these (Cardoso, Janati, Le Corff and Moulines 2024, section 4).
+    """
+    rng = np.random.default_rng([seed, size, rows])
+    grid = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij"), axis=-1)
+    means = 8.0 * np.tile(grid.reshape(25, 2), (1, size // 2))
+    weights = rng.standard_normal(25) ** 2
+    left, _, right = np.linalg.svd(rng.standard_normal((rows, size)), full_matrices=False)
+    values = np.sort(rng.uniform(size=rows))[::-1]
+    # In units of the noise: all of one size are one compiled program.
+    matrix = (left * values) @ right / (rng.uniform() * values[0])
+    return _unit_mixture(weights / weights.sum(), means, matrix, 1.0)
 
 
 def gamma_poisson(size: int = 16, full_well: int = 50) -> Known:
@@ -210,6 +221,52 @@ def two_pixel_retrieval(sigma_0: float = 0.25, proposals: int = 20_000) -> Known
     return Known(likelihood, prior, exact, basis, twins)
 
 
+def six_pixel_retrieval(sigma_0: float = 0.1) -> Known:
+    """Fourier magnitudes of six complex pixels: two twins, which the prior weighs 2 to 1."""
+    rng = np.random.default_rng(6)
+    one = rng.uniform(0.3, 0.9, (2, 3)) * np.exp(1j * rng.uniform(-2, 2, (2, 3)))
+    # In one dimension there would be up to 2^5 others.
+    twins = np.stack([one, one[::-1, ::-1].conj()])
+    optics = Fourier((2, 3), oversampling=2)
+    return _of_complex(twins, [2.0, 1.0], 0.1, optics, sigma_0)
+
+
+def coded_diffraction(side: int = 4, sigma_0: float = 0.1) -> Known:
+    """Far fields behind four random phase masks; a global phase that only the prior knows.
+
+    It believes in two objects that differ by a turn of 1.5 rad, which the data do not tell apart.
+    """
+    rng = np.random.default_rng(4)
+    shape = (side, side)
+    one = rng.uniform(0.4, 0.9, shape) * np.exp(1j * rng.uniform(-0.6, 0.6, shape))
+    masks = np.exp(2j * np.pi * rng.uniform(size=(4, *shape)))
+    turned = np.stack([one, one * np.exp(1.5j)])
+    return _of_complex(turned, [0.7, 0.3], 0.1, CodedDiffraction(masks), sigma_0)
+
+
+def small_ptychography(side: int = 6, sigma_0: float = 0.1) -> Known:
+    """Nine low-resolution intensities of a transparent object, each from another direction."""
+    centres = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(9, 2)
+    optics = FourierPtychography.from_radius((side, side), centres, 1.5, side // 3)
+    return _of_complex(np.full((1, side, side), 0.8 + 0j), [1.0], 0.15, optics, sigma_0)
+
+
+def digits(components: int = 10, full_well: int = 100) -> Known:
+    """Handwritten digits, 8 x 8, on a bright ground, under photon noise.
+
+    The prior is a mixture fitted to the 1797 of scikit-learn (Alpaydin and Kaynak 1998).
+    """
+    from sklearn.datasets import load_digits
+    from sklearn.mixture import GaussianMixture as Fitted
+
+    # On black ground half of the prior's pixels would be negative light.
+    pictures = 0.2 + 0.5 * load_digits().data / 16
+    fitted = Fitted(components, reg_covar=4e-4, random_state=0).fit(pictures)
+    prior = GaussianMixture(fitted.weights_, fitted.means_, fitted.covariances_, (8, 8))
+    likelihood = LinearLikelihood(Identity((8, 8)), Poisson(full_well))
+    return _by_laplace(likelihood, prior, fitted.means_.reshape(-1, 8, 8))
+
+
 GALLERY: dict[str, Callable[[], Known]] = {
     "linear Gaussian": linear_gaussian,
     "linear Gaussian, complex": lambda: linear_gaussian(dtype=complex, size=16, rows=12),
@@ -219,11 +276,60 @@ GALLERY: dict[str, Callable[[], Known]] = {
     "mixture, 80 dimensions": lambda: mixture_linear(size=80, rows=4),
     "gamma and Poisson": gamma_poisson,
     "Poisson at 4 bits": quantised_counts,
+    "digits, 8 x 8": digits,
     "complex pixel, sigma_0 0.05": lambda: one_complex_pixel(0.05),
     "complex pixel, sigma_0 0.1": one_complex_pixel,
     "complex pixel, sigma_0 0.3": lambda: one_complex_pixel(0.3),
     "two-pixel phase retrieval": two_pixel_retrieval,
+    "six-pixel phase retrieval": six_pixel_retrieval,
+    "coded diffraction, 4 x 4": coded_diffraction,
+    "ptychography, 6 x 6": small_ptychography,
 }
+
+
+def _of_complex(
+    modes: np.ndarray, weights: list[float], sd: float, optics: Optics, sigma_0: float
+) -> Known:
+    """Counted intensities of objects about `modes` (K, *shape), `sd` per real component."""
+    means = np.concatenate([m.reshape(len(modes), -1) for m in (modes.real, modes.imag)], axis=1)
+    variances = np.full(len(modes), sd**2)
+    prior = GaussianMixture(np.array(weights), means, variances, modes.shape[1:], complex)
+    likelihood = IntensityLikelihood(optics, Poisson(round(1 / sigma_0**2)))
+    return _by_laplace(likelihood, prior, modes)
+
+
+def _by_laplace(
+    likelihood: Likelihood, prior: GaussianMixture, modes: np.ndarray, proposals: int = 4000
+) -> Known:
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        key_proposed, key_chosen = jax.random.split(key)
+        return laplace(key_proposed, likelihood, prior, y, proposals).resampled(key_chosen, count)
+
+    basis = f"importance sampling of {proposals} draws of Laplace's normals"
+    return Known(likelihood, prior, exact, basis, modes if len(modes) > 1 else None)
+
+
+def _unit_mixture(
+    weights: np.ndarray, means: np.ndarray, matrix: np.ndarray, noise: float
+) -> Known:
+    """Unit Gaussians about `means` behind a matrix: each conditioned by itself, in closed form."""
+    rows, size = matrix.shape
+    gain, rest = _conditioned(np.eye(size), matrix, noise)
+    seen = np.linalg.cholesky(matrix @ matrix.T + noise**2 * np.eye(rows))
+    cholesky = np.linalg.cholesky(rest)
+
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        off = y - means @ matrix.T
+        scaled = jax.scipy.linalg.solve_triangular(jnp.asarray(seen, y.dtype), off.T, lower=True)
+        evidence = np.log(weights) - 0.5 * jnp.sum(scaled**2, axis=0)
+        centres = means + off @ gain.T
+        key_mode, key_noise = jax.random.split(key)
+        mode = jax.random.categorical(key_mode, evidence, shape=(count,))
+        return centres[mode] + jax.random.normal(key_noise, (count, size)) @ cholesky.T
+
+    prior = GaussianMixture(weights, means, np.ones(len(weights)), (size,))
+    likelihood = LinearLikelihood(Matrix(matrix), GaussianCamera(noise))
+    return Known(likelihood, prior, exact, "closed form", means)
 
 
 def _conditioned(

@@ -162,8 +162,8 @@ class LinearLikelihood(Likelihood):
         noise of counts is that of the light in `clean`, E[object | x~], or for want of it in x.
         "signal": for the identity and Poisson counts only; along "split" eq:log_p_y_x_tilde,
         along "convolved" its first two moments as a count has them, (y - x)/((sigma_0^2 + sigma^2)
-        x), exact for Poisson counts at sigma = 0. A saturated pixel counts as "at least this", with
-        Gaussian noise.
+        x + variance of the ADC), exact for Poisson counts without one at sigma = 0. A saturated
+        pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
@@ -196,7 +196,7 @@ class LinearLikelihood(Likelihood):
         if path == "split":
             score = annealing.signal_score(x, y, variance)
         else:
-            score = annealing.counts_score(x, y, variance * x)
+            score = annealing.counts_score(x, y, variance * x + self.camera.read_variance)
         return self._where_saturated(score, x, y, variance * x)
 
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -16,13 +16,14 @@ class GaussianMixture(Prior):
     covariance (s: sd per real component), so log-density and score are exact at every sigma.
 
     Parameters: `weights` (K,), positive, normalised here; `means` (K, n); `covariances` (K, n, n),
-    symmetric and positive semi-definite; n = size of `shape`, doubled for `dtype=complex`. A
-    singular covariance has a density only at sigma > 0. Raises ValueError on anything else.
+    symmetric and positive semi-definite, or (K,), variances of isotropic components, whose cost
+    grows with n and not with n^2; n = size of `shape`, doubled for `dtype=complex`. A singular
+    covariance has a density only at sigma > 0. Raises ValueError on anything else.
     """
 
     log_weights: jax.Array
     means: jax.Array
-    eigenvectors: jax.Array
+    eigenvectors: jax.Array | None
     variances: jax.Array
     shape: tuple[int, ...] = eqx.field(static=True)
     complex_valued: bool = eqx.field(static=True)
@@ -45,11 +46,15 @@ class GaussianMixture(Prior):
         check_finite(weights=weights, means=means, covariances=covariances)
         n = real_size(self.shape, np.dtype(dtype))
         _check_shapes(weights, means, covariances, n)
-        variances, vectors = np.linalg.eigh(covariances)
-        _check_semidefinite(covariances, variances)
+        if covariances.ndim == 1:
+            variances, vectors = covariances[:, None], None
+            _check_semidefinite(covariances[:, None, None], variances)
+        else:
+            variances, vectors = np.linalg.eigh(covariances)
+            _check_semidefinite(covariances, variances)
         self.log_weights = jnp.asarray(np.log(weights / weights.sum()))
         self.means = jnp.asarray(means)
-        self.eigenvectors = jnp.asarray(vectors)
+        self.eigenvectors = None if vectors is None else jnp.asarray(vectors)
         self.variances = jnp.asarray(np.maximum(variances, 0.0))
 
     @property
@@ -57,7 +62,7 @@ class GaussianMixture(Prior):
         """Root mean square deviation per real component, spread of the means included."""
         weights = jnp.exp(self.log_weights)
         centre = weights @ self.means
-        within = weights @ self.variances.mean(axis=1)
+        within = weights @ jnp.mean(self.variances, axis=1)
         between = weights @ jnp.mean((self.means - centre) ** 2, axis=1)
         return jnp.sqrt(within + between)
 
@@ -66,18 +71,36 @@ class GaussianMixture(Prior):
         key_component, key_normal = jax.random.split(key)
         k = jax.random.categorical(key_component, self.log_weights)
         noise = jax.random.normal(key_normal, self.means.shape[1:], self.means.dtype)
-        v = self.means[k] + self.eigenvectors[k] @ (jnp.sqrt(self.variances[k]) * noise)
-        return self._to_object(v)
+        noise = jnp.sqrt(self.variances[k]) * noise
+        rotated = noise if self.eigenvectors is None else self.eigenvectors[k] @ noise
+        return self._to_object(self.means[k] + rotated)
 
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Log-density of object + annealing error at `x`; exact."""
         variances = self.variances + self._component_sd(sigma) ** 2
-        residual = self._to_vector(x) - self.means
-        whitened = jnp.einsum("kij,ki->kj", self.eigenvectors, residual)
-        log_density = -0.5 * jnp.sum(
-            whitened**2 / variances + jnp.log(2 * jnp.pi * variances), axis=1
-        )
-        return jax.nn.logsumexp(self.log_weights + log_density)
+        v = self._to_vector(x)
+        if self.eigenvectors is None:
+            scatter = _squared_distances(v, self.means) / variances[:, 0]
+            volume = v.size * jnp.log(2 * jnp.pi * variances[:, 0])
+        else:
+            whitened = jnp.einsum("kij,ki->kj", self.eigenvectors, v - self.means)
+            scatter = jnp.sum(whitened**2 / variances, axis=1)
+            volume = jnp.sum(jnp.log(2 * jnp.pi * variances), axis=1)
+        return jax.nn.logsumexp(self.log_weights - 0.5 * (scatter + volume))
+
+
+def _squared_distances(v: jax.Array, means: jax.Array) -> jax.Array:
+    """|v - means|^2, (K,), by products with a matrix, which batches of objects share.
+
+    About the nearest of the means, so that none of the distances that matter is a difference of
+    large numbers.
+    """
+    norms = jnp.sum(means**2, axis=1)
+    nearest = jax.lax.stop_gradient(jnp.argmin(norms - 2 * means @ v))
+    rest = v - means[nearest]
+    across = means @ rest
+    between = jnp.sum((means[:, None] - means) ** 2, axis=2)[nearest]
+    return rest @ rest - 2 * (across - across[nearest]) + between
 
 
 def _check_shapes(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray, n: int) -> None:
@@ -89,8 +112,10 @@ def _check_shapes(weights: np.ndarray, means: np.ndarray, covariances: np.ndarra
             f"means of shape {means.shape}: this object wants ({k}, {n}), "
             "a row for each weight in the real view (Re then Im for complex objects)"
         )
-    if covariances.shape != (k, n, n):
-        raise ValueError(f"covariances of shape {covariances.shape}: expected ({k}, {n}, {n})")
+    if covariances.shape not in ((k,), (k, n, n)):
+        raise ValueError(
+            f"covariances of shape {covariances.shape}: expected ({k}, {n}, {n}), or ({k},)"
+        )
 
 
 def _check_semidefinite(covariances: np.ndarray, variances: np.ndarray) -> None:

@@ -39,7 +39,12 @@ def gaussian(dtype):
     return priors.Gaussian(np.arange(n), root @ root.T + 0.1 * np.eye(n), (3,), dtype)
 
 
-GAUSSIANS = {"mixture": mixture, "field": field, "gaussian": gaussian}
+def isotropic(dtype):
+    weights, means, _ = mixture_parts(dtype)
+    return priors.GaussianMixture(weights, means, [0.3, 0.1, 0.7], (3,), dtype)
+
+
+GAUSSIANS = {"mixture": mixture, "isotropic": isotropic, "field": field, "gaussian": gaussian}
 
 
 @pytest.mark.parametrize("name", GAUSSIANS)
@@ -129,6 +134,22 @@ def folded_log_density(z, sigma):
     sd = sigma * np.sqrt(clean)
     kernels = [sum(scipy.stats.norm.pdf(s, clean, sd) for s in (value, -value)) for value in z]
     return np.log([np.trapezoid(density * kernel, clean) for kernel in kernels])
+
+
+@pytest.mark.parametrize("sigma", [0.0, 3.0])
+def test_an_isotropic_mixture_is_a_mixture_of_round_covariances(sigma):
+    """Far modes in single precision, where distances could be differences of large numbers."""
+    rng = np.random.default_rng(0)
+    weights, means, variances = [0.5, 0.3, 0.2], 35 * rng.standard_normal((3, 200)), [1.0, 0.5, 2.0]
+    round_ = np.asarray(variances)[:, None, None] * np.eye(200)
+    found = priors.GaussianMixture(weights, means, variances, (200,))
+    expected = priors.GaussianMixture(weights, means, round_, (200,))
+    for i in range(4):
+        x = expected.sample(jax.random.key(i))
+        np.testing.assert_allclose(found.sample(jax.random.key(i)), x, rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(found.log_prob(x, sigma), expected.log_prob(x, sigma), rtol=1e-5)
+        scores = found.score(x, sigma), expected.score(x, sigma)
+        np.testing.assert_allclose(*scores, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05, 0.3, 1.0, 2.0])
