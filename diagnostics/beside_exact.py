@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import rankdata
 
 from ..checkpoint import fingerprint
 from ..files import replace_whole
@@ -27,6 +28,8 @@ RECORDINGS = 8
 
 class Beside(NamedTuple):
     """Averages over 8 recordings; None where they could not be had.
+
+    Where exact draws are by importance (`Known.basis`), some come twice, and floors are higher.
 
     `lost`: in how many of them a draw was not finite; nothing else is known then. `distance`:
     sliced Wasserstein distance from as many exact draws, over that of two exact sets of that size.
@@ -157,6 +160,9 @@ def effective_draws(sampler: Sampler | Drawer, values: np.ndarray) -> float | No
 
 def _of_populations(values: np.ndarray) -> float:
     _, populations, size, _ = values.shape
+    # By ranks, as R-hat: of a density of 0 there is no variance.
+    flat = values.reshape(len(values), populations * size, -1)
+    values = rankdata(flat, axis=1).reshape(values.shape)
     inside = values.var(axis=(1, 2))
     between = values.mean(axis=2).var(axis=1, ddof=1)
     ratio = np.where(inside > 0, between / np.where(inside > 0, inside, 1.0), 1.0).mean(axis=0)

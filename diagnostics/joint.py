@@ -37,9 +37,9 @@ class JointTest(NamedTuple):
 
     `z` (Q,): of the rank-sum test, positive where moved pairs have the larger values. `above` (Q,):
     how often a moved pair lies above a fresh one, 0.5 if the moves are right. `kept` (Q,): rank
-    correlation of a chain's last value with its first. `moved`: mean squared distance of an object
-    from its start, over that of two independent objects: 0 for a chain that stands still, 1 for one
-    that has forgotten its start. `seconds`: of the simulations, compilation included.
+    correlation of a chain's last value with its first. `moved`: median squared distance of
+    an object from its start, over that of two independent objects: 0 for a chain that stands still,
+    1 for one that has forgotten its start. `seconds`: of the simulations, compilation included.
     """
 
     names: tuple[str, ...]
@@ -155,9 +155,16 @@ def geweke(
     first, last, fresh, distances = (np.asarray(part, dtype=float) for part in found)
     seconds = time.perf_counter() - began
     _refuse_nan(names, first, last, fresh)
+    if not np.all(np.isfinite(distances)):
+        lost = int(np.sum(~np.isfinite(distances).all(axis=1)))
+        raise NonFiniteError(
+            f"the object is not finite in {lost} of {len(distances)} chains: they diverged, give "
+            "the sampler a smaller step"
+        )
     z, above = np.transpose([_rank_sum(a, b) for a, b in zip(last.T, fresh.T)])
     kept = np.array([_rank_correlation(a, b) for a, b in zip(first.T, last.T)])
-    moved = float(distances[:, 0].sum() / distances[:, 1].sum())
+    # Medians: a single chain far off must not move the others.
+    moved = float(np.divide(*np.median(distances, axis=0)))
     return JointTest(names, z, above, kept, moved, chains, transitions, seconds)
 
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..estimators.quasi_newton import default_start
+from ..models.exposures import Exposures
 from ..models.likelihood import Likelihood, LinearLikelihood
 from ..models.priors.base import Prior
 from ..problem import Problem
@@ -148,6 +149,8 @@ def default_quantities(problem: Problem) -> dict[str, Quantity]:
     if has_density(prior):
         found["log-prior"] = LogPrior(prior)
         found["log-posterior"] = LogPosterior(likelihood, prior)
+    if isinstance(likelihood, Exposures) and isinstance(likelihood.likelihood, LinearLikelihood):
+        likelihood = LinearLikelihood(likelihood.optics, likelihood.camera)
     if isinstance(likelihood, LinearLikelihood):
         found["distance to estimate"] = DistanceToEstimate(likelihood)
     found["squared norm"] = SquaredNorm()

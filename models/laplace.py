@@ -25,9 +25,13 @@ class Weighted(NamedTuple):
         return 1 / jnp.sum(w**2)
 
     def resampled(self, key: jax.Array, count: int) -> jax.Array:
-        """`count` of them (count, *shape) by their weights, with replacement."""
+        """`count` of them (count, *shape) by their weights, with replacement.
+
+        NaN where no proposal has any weight.
+        """
         w = jax.nn.softmax(self.log_weights)
-        return self.objects[jax.random.choice(key, len(w), (count,), p=w)]
+        chosen = self.objects[jax.random.choice(key, len(w), (count,), p=w)]
+        return jnp.where(jnp.isfinite(jax.nn.logsumexp(self.log_weights)), chosen, jnp.nan)
 
 
 def laplace(
@@ -78,6 +82,11 @@ def laplace(
 
     n = means.shape[1]
     modes, roots, evidence = jax.vmap(fitted)(jnp.arange(len(means)))
+    # A component that was not fitted proposes nothing.
+    found = jnp.isfinite(evidence) & jnp.all(jnp.isfinite(roots), axis=(1, 2))
+    modes = jnp.where(found[:, None], modes, 0.0)
+    roots = jnp.where(found[:, None, None], roots, jnp.eye(means.shape[1], dtype=roots.dtype))
+    evidence = jnp.where(found, evidence, -jnp.inf)
     inverses = jnp.linalg.inv(roots)
     volumes = jnp.linalg.slogdet(roots)[1]
     key_mode, key_normal, key_scale = jax.random.split(key, 3)
@@ -92,7 +101,8 @@ def laplace(
         log_t = -0.5 * (freedom + n) * jnp.log1p(distances / freedom) - volumes
         x = from_real(v, shape, dtype)
         target = prior.log_prob(x) + likelihood.log_prob(x, y)
-        return target - jax.nn.logsumexp(jax.nn.log_softmax(evidence) + log_t)
+        value = target - jax.nn.logsumexp(jax.nn.log_softmax(evidence) + log_t)
+        return jnp.where(jnp.isnan(value), -jnp.inf, value)
 
     objects = jax.vmap(lambda v: from_real(v, shape, dtype))(proposed)
     # In parts: all at once, of many recordings, would not stay in the cache.

@@ -160,10 +160,10 @@ class LinearLikelihood(Likelihood):
         "gaussian": H^T (y - Hx)/(noise variance -+ annealing variance); exact for Gaussian noise if
         H H^H is diagonal, and exact for Poisson counts (without quantisation) at sigma = 0. The
         noise of counts is that of the light in `clean`, E[object | x~], or for want of it in x.
-        "signal": for the identity and Poisson counts only; along "split" eq:log_p_y_x_tilde,
-        along "convolved" its first two moments as a count has them, (y - x)/((sigma_0^2 + sigma^2)
-        x + variance of the ADC), exact for Poisson counts without one at sigma = 0. A saturated
-        pixel counts as "at least this", with Gaussian noise.
+        "signal": for the identity and Poisson counts only; along "split" eq:log_p_y_x_tilde, which
+        knows no ADC, along "convolved" its first two moments as a count has them,
+        (y - x)/((sigma_0^2 + sigma^2) x + variance of the ADC), exact for Poisson counts without
+        one at sigma = 0. A saturated pixel counts as "at least this", with Gaussian noise.
         `published` changes nothing here: the printed equations of real images are right.
         """
         if perturbation == "signal":
@@ -193,11 +193,12 @@ class LinearLikelihood(Likelihood):
             )
         noise = jnp.asarray(self.camera.sigma0**2, x.dtype)
         variance = annealing.remaining_variance(noise, sigma**2, path)
+        seen = variance * x + self.camera.read_variance
         if path == "split":
             score = annealing.signal_score(x, y, variance)
         else:
-            score = annealing.counts_score(x, y, variance * x + self.camera.read_variance)
-        return self._where_saturated(score, x, y, variance * x)
+            score = annealing.counts_score(x, y, seen)
+        return self._where_saturated(score, x, y, seen)
 
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Variance of the recorded signal (per real component), and the annealing gain."""

@@ -187,13 +187,27 @@ class PixelPrior(Prior):
         weight = jnp.exp(log_weight - jnp.where(jnp.isfinite(log_sum), log_sum, 0.0)[..., None])
         # (clean - x)/clean = 1 - e^{-2w}
         unfolded = jnp.sum(weight * -jnp.expm1(-2 * w), axis=-1)
-        # So far from the table that no node reaches it, its nearest end is the only source.
-        end = jnp.clip(x, self.grid[0], self.grid[-1])
-        at_end = (end - x) / jnp.maximum(end, 1e-12 * self.grid[-1])
-        unfolded = jnp.where(jnp.isfinite(log_sum), unfolded, at_end)
+        # So far from all light that no node meets it, the nearest is the only source.
+        nearest = self._nearest(x)
+        at_nearest = (nearest - x) / jnp.maximum(nearest, 1e-12 * self.grid[-1])
+        unfolded = jnp.where(jnp.isfinite(log_sum), unfolded, at_nearest)
         score = sign * (unfolded - 2 * jax.nn.sigmoid(-2 * x / sigma**2)) / sigma**2
         log_density = log_sum + log_norm + jax.nn.softplus(-2 * x / sigma**2)
         return jnp.where(negative, -jnp.inf, log_density), score
+
+    def _nearest(self, x: jax.Array) -> jax.Array:
+        """The value of the table with a density that most likely became `x`, elementwise."""
+        lit, grid = self.density > 0, self.grid.astype(x.dtype)
+        below = jax.lax.cummax(jnp.where(lit, grid, -jnp.inf))
+        above = jax.lax.cummin(jnp.where(lit, grid, jnp.inf), reverse=True)
+        cell = jnp.clip(jnp.searchsorted(grid, x, side="right") - 1, 0, grid.size - 2)
+        low, high = below[cell], above[cell + 1]
+        low, high = jnp.where(low < 0, high, low), jnp.where(jnp.isinf(high), low, high)
+
+        def distance(clean: jax.Array) -> jax.Array:
+            return jnp.square(x - clean) / jnp.maximum(clean, 1e-12 * grid[-1])
+
+        return jnp.where(distance(low) < distance(high), low, high)
 
 
 def _refuse_level(sigma: jax.Array | float) -> None:

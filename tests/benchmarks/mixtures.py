@@ -85,8 +85,11 @@ def evaluations(name, size, rows):
 
 def cell(name, size, rows, folder):
     """All problems of one size, from the folder where they are done."""
-    file = folder / f"{name}-{size}-{rows}.json"
-    found = json.loads(file.read_text()) if file.exists() else {"problems": []}
+    file, settings = folder / f"{name}-{size}-{rows}.json", repr(RUNS[name])
+    found = json.loads(file.read_text()) if file.exists() else {}
+    if found.setdefault("settings", settings) != settings:
+        raise ValueError(f"{file} is of other settings: delete it, or give another folder")
+    found.setdefault("problems", [])
     while (seed := len(found["problems"])) < PROBLEMS:
         found["problems"].append(measured(name, size, rows, seed))
         file.write_text(json.dumps(found))

@@ -155,7 +155,8 @@ def test_processes_killed_at_work_lose_and_repeat_no_simulation(tmp_path, ran):
             assert process.poll() is None and time.monotonic() < deadline
             time.sleep(0.01)
     finally:
-        os.killpg(process.pid, signal.SIGKILL)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     kept = {int(path.stem[6:]) for path in folder.glob("shard-*.npz")}
     batches = max(kept) + 3
@@ -244,7 +245,7 @@ def test_an_error_in_a_batch_cancels_those_that_wait(ran):
         pytest.raises(NonFiniteError, match="norm of a draw is NaN"),
     ):
         simulated(4 * 2000, sampler=diverging, executor=executor)
-    assert len(ran) < 2000
+    assert len(ran) < 100
 
 
 def test_calibration_goes_to_an_executor_too(ran):

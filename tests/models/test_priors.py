@@ -206,6 +206,18 @@ def test_pixel_prior_pulls_back_from_far_outside_its_table(x64):
     np.testing.assert_allclose(prior.score(jnp.asarray(z), sigma), expected, rtol=2e-2)
 
 
+def test_pixel_prior_pulls_back_over_empty_bins(x64):
+    """Where the table has no density, at an end or in a gap, it is as if it did not go there."""
+    grid, sigma = np.linspace(0.0, 2.0, 201), 0.01
+    lit = (grid >= 0.5) & (grid <= 0.7) | (grid >= 1.2) & (grid <= 1.3)
+    prior = priors.PixelPrior(grid, lit.astype(float), (5,))
+    x = np.asarray([0.05, 0.85, 1.05, 1.9, 7.0])
+    nearest = np.asarray([0.5, 0.7, 1.2, 1.3, 1.3])
+    fold = (np.tanh(x / sigma**2) - 1) / sigma**2
+    expected = (nearest - x) / (sigma**2 * nearest) + fold
+    np.testing.assert_allclose(prior.score(jnp.asarray(x), sigma), expected, rtol=1e-6)
+
+
 def test_pixel_prior_folds_at_zero(x64):
     """Nothing below zero, all of it above, and no slope at zero."""
     prior = priors.PixelPrior.gamma(3.0, 4.0, (1,))
