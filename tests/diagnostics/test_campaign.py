@@ -146,6 +146,7 @@ def test_an_interrupted_campaign_goes_on_and_repeats_nothing(tmp_path, monkeypat
     assert len(simulated(13, folder=tmp_path / "c").truths) == 13 and len(ran) == 4
 
 
+@pytest.mark.slow
 def test_processes_killed_at_work_lose_and_repeat_no_simulation(tmp_path, ran):
     folder = tmp_path / "c"
     process = started(tmp_path, folder, 100_000, "processes")
@@ -184,6 +185,7 @@ def test_threads_compute_the_same_in_any_order(tmp_path, monkeypatch, ran, x64):
     assert len(ran) == 5
 
 
+@pytest.mark.slow
 def test_a_cluster_computes_the_same_in_the_precision_of_the_caller(x64):
     """Of functions that no module holds."""
     factor = 0.5
@@ -197,6 +199,7 @@ def test_a_cluster_computes_the_same_in_the_precision_of_the_caller(x64):
     assert found.draws.dtype == np.float64
 
 
+@pytest.mark.slow
 def test_a_batch_is_split_over_devices(tmp_path):
     """Five simulations on two devices: the same folder, the same numbers."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"

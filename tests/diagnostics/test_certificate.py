@@ -48,6 +48,7 @@ def test_a_sampler_of_ten_lines_that_is_wrong_fails():
     assert found.p == found.calibration.p[name] < 0.05
 
 
+@pytest.mark.slow
 def test_chains_that_hardly_move_are_not_judged_and_their_budget_is_named():
     found = certified(samplers.ULA(1e-7), LINEAR, 20, settings=Settings(2, 50, 0, 1))
     assert found.verdict.startswith("cannot be judged: 2 independent draws of ")

@@ -220,6 +220,7 @@ def test_follows_float32_inside_x64(x64):
             assert result.dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_same_key_same_draws_and_vmap_is_a_loop():
     light = jnp.linspace(0, 1.1, 12, dtype="float32").reshape(3, 4)
     keys = jax.random.split(jax.random.key(5), 3)

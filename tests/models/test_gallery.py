@@ -59,6 +59,7 @@ def effective(name, known, y, count=20_000):
     return 700 if "importance" in known.basis else count
 
 
+@pytest.mark.slow
 def test_one_pixel_agrees_with_a_grid_of_real_and_imaginary_parts(x64):
     known = one_complex_pixel(0.1)
     posterior, y = recorded(known)
@@ -100,6 +101,7 @@ def test_moments_agree_with_tempered_smc(x64, name):
     assert np.abs(z).max() < scipy.stats.t(15).isf(0.005 / 2 / z.size)
 
 
+@pytest.mark.slow
 def test_laplace_weighs_its_draws_of_a_gaussian_equally(x64):
     """There the approximation is exact, but for the tails of Student's t."""
     known = GALLERY["mixture, 8 dimensions"]()
@@ -127,6 +129,7 @@ def test_weights_of_laplace_give_the_moments(x64):
     assert found.effective() < 0.99 * 20_000
 
 
+@pytest.mark.slow
 def test_laplace_without_any_weight_draws_nan():
     known = GALLERY["mixture, 8 dimensions"]()
     _, y = recorded(known)

@@ -299,6 +299,7 @@ def test_energy_score_is_the_gradient_and_its_jacobian_symmetric(x64, perturbati
     assert np.abs(jacobian - jacobian.T).max() < 1e-12 * np.abs(jacobian).max()
 
 
+@pytest.mark.slow
 def test_loops_tell_an_energy_from_a_score(x64):
     key, start = jax.random.key(1), jnp.full((4, 4), 0.3)
     energy = loop_check(EnergyPrior(network_denoiser(), (4, 4)), key, 0.2, start)

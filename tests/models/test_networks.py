@@ -44,6 +44,7 @@ def test_batch_is_the_same_as_one_by_one(name):
     np.testing.assert_allclose(batched, single, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_width_and_depth_are_arguments():
     def size(network):
         return sum(a.size for a in jax.tree.leaves(network))

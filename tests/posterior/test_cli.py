@@ -208,6 +208,7 @@ def test_phase_retrieval(folder, tmp_path, few_levels):
     assert ps.load(tmp_path / "run" / "draws.nc").data.shape == (32, 32)
 
 
+@pytest.mark.slow
 def test_ptychography_of_a_complex_specimen(folder, tmp_path, few_levels):
     extra = ("--sampler", "annealed", "--draws", 1, "--chains", 2)
     settings = _run(folder, tmp_path / "run", *extra, problem="ptychography", image="specimen.npy")
@@ -523,6 +524,7 @@ def stack(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
     """Drawn, said, and drawn again; calibrated in a hurry."""
     hurried = functools.partial(presets.questions.calibrate, rounds=1, iterations=10)

@@ -141,6 +141,7 @@ def test_mala_draws_the_conjugate_gamma_posterior(x64):
     check_gamma(draw(post, PIXELWISE, draws=2000, thin=10), concentration, rate)
 
 
+@pytest.mark.slow
 def test_a_noise_level_10_percent_wrong_fails_the_conjugate_posterior(x64):
     """sigma_0 = 1/sqrt(full well) 10 % too small: 61 electrons in place of 50."""
     post, concentration, rate = gamma_poisson()

@@ -62,6 +62,7 @@ def test_draws_of_the_conjugate_gamma_posterior(x64):
     check_mean((values - concentration / rate) ** 2, (1 - left) * concentration / rate**2)
 
 
+@pytest.mark.slow
 def test_a_posterior_of_other_counts_fails(x64):
     """As drawn for 61 electrons where 50 were counted: 10 % less noise."""
     post = gamma_counts(models.Poisson(50))
@@ -98,6 +99,7 @@ def check_hidden(camera, y, sampler=None):
     assert abs(values.std() / sd - 1) < 0.06
 
 
+@pytest.mark.slow
 def test_a_guess_of_the_hidden_counts_alone_fails(x64):
     """About the light of the least possible counts, without the chain."""
     with pytest.raises(AssertionError):

@@ -29,6 +29,7 @@ def scatter(matrix, draws):
     return np.trace(np.cov(draws.T) @ matrix.T @ matrix) / UNKNOWNS
 
 
+@pytest.mark.slow
 def test_answers_scatter_as_those_of_random_halves_do(x64):
     """Beside least squares of halves chosen by NumPy, to four sd: 7 % of an sd."""
     rng = np.random.default_rng(0)
