@@ -9,9 +9,11 @@ CONSTRAINTS := constraints.txt
 demo: .venv/installed
 	$(BIN)/posterior demo --out out/demo
 
-# Tests compile much and run little: a lighter compiler makes them a third shorter.
+# Tests compile much and run little: lighter passes of the compiler make them much shorter.
+XLA_LIGHT := --xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false
+
 test: .venv/installed-test
-	XLA_FLAGS=--xla_backend_optimization_level=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+	XLA_FLAGS="$(XLA_LIGHT)" $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 study: .venv/installed-test
 	$(BIN)/python -m pytest -m slow --durations=0 -s

@@ -2,6 +2,7 @@
 
 import os
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import closing
@@ -23,7 +24,7 @@ from ..samplers.checks import check_run
 from ..sampling import NonFiniteError
 from ..whole_run import whole_run
 from .executors import completed
-from .quantities import Quantity
+from .quantities import Quantity, values_of
 from .shards import Shard, Shards
 
 Drawer = Callable[[jax.Array, Posterior], jax.Array]
@@ -33,6 +34,14 @@ _BATCH = 32
 
 class SamplerRefusal(ValueError):
     """A sampler's own reason not to run on a problem."""
+
+
+class Enumerated(Problem):
+    """A problem whose simulations are told apart by their number, besides their key."""
+
+    @abstractmethod
+    def numbered(self, key: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The pair (x, y) of this number, from 0; in place of `simulate`."""
 
 
 class Settings(NamedTuple):
@@ -146,16 +155,16 @@ class _Campaign:
         devices = 1 if mesh is None else mesh.size
         # Every device has as many: those beyond the batch are cut off.
         rows = -(-self.batch // devices) * devices
-        index = number * self.batch + jnp.arange(rows)
-        keys = jax.vmap(lambda i: jax.random.fold_in(self.key, i))(index)
+        numbers = number * self.batch + jnp.arange(rows)
         # JAX would sort a dictionary.
-        fixed = self.problem, self.sampler, tuple(self.quantities), tuple(self.quantities.values())
+        quantities = tuple(self.quantities), tuple(self.quantities.values())
+        fixed = self.problem, self.sampler, *quantities, self.key
         if mesh is not None:
             arrays, others = eqx.partition(fixed, eqx.is_array)
             arrays = jax.device_put(arrays, NamedSharding(mesh, PartitionSpec()))
             fixed = eqx.combine(arrays, others)
-            keys = jax.device_put(keys, NamedSharding(mesh, PartitionSpec(mesh.axis_names)))
-        return *fixed, self.settings, keys, mesh
+            numbers = jax.device_put(numbers, NamedSharding(mesh, PartitionSpec(mesh.axis_names)))
+        return *fixed, self.settings, numbers, mesh
 
 
 def _shards(
@@ -200,33 +209,33 @@ def _batch(
     sampler: Sampler | Drawer,
     names: tuple[str, ...],
     quantities: tuple[Quantity, ...],
+    key: jax.Array,
     settings: Settings,
-    keys: jax.Array,
+    numbers: jax.Array,
     mesh: Mesh | None,
 ) -> tuple[jax.Array, jax.Array]:
-    def one(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        key_joint, key_run = jax.random.split(key)
-        x, y = problem.simulate(key_joint)
+    def one(number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        key_joint, key_run = jax.random.split(jax.random.fold_in(key, number))
+        if isinstance(problem, Enumerated):
+            x, y = problem.numbered(key_joint, number)
+        else:
+            x, y = problem.simulate(key_joint)
         posterior = problem.condition(y)
 
         def asked(x: jax.Array) -> jax.Array:
-            found = [f(x, posterior.y) for f in quantities]
-            for name, value in zip(names, found):
-                if jnp.shape(value) != () or jnp.iscomplexobj(value):
-                    raise ValueError(f"{name} is no real number (f(x, y) gives {value}): give one")
-            return jnp.stack(found)
+            return values_of(names, quantities, x, posterior.y)
 
         # The truth first: a quantity that is no number is not the sampler's fault.
         truth = asked(x)
         return truth, recorded(sampler, posterior, key_run, settings, asked)
 
     if mesh is None:
-        return jax.vmap(one)(keys)
+        return jax.vmap(one)(numbers)
     # Every device loops as long as its own simulations do, and none waits for another.
     split = PartitionSpec(mesh.axis_names)
     return jax.shard_map(
         jax.vmap(one), mesh=mesh, in_specs=split, out_specs=split, check_vma=False
-    )(keys)
+    )(numbers)
 
 
 def recorded(

@@ -6,6 +6,7 @@ so it tells a fault of the moves from a run that is too short.
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,7 +21,7 @@ from ..samplers import Ensemble
 from ..samplers.base import PopulationSampler, Sampler
 from ..sampling import NonFiniteError
 from .campaign import SamplerRefusal
-from .quantities import Quantity, default_quantities
+from .quantities import Quantity, default_quantities, values_of
 from .uniformity import holm
 
 Kernel = Callable[[jax.Array, Posterior, jax.Array], jax.Array]
@@ -198,12 +199,7 @@ def _pairs(
     Distances (chains, 2): squared, of the start to where it was moved, and to the fresh object.
     """
 
-    def asked(x: jax.Array, y: jax.Array) -> jax.Array:
-        found = [f(x, y) for f in quantities]
-        for name, value in zip(names, found):
-            if jnp.shape(value) != () or jnp.iscomplexobj(value):
-                raise ValueError(f"{name} is no real number (f(x, y) gives {value}): give one")
-        return jnp.stack(found)
+    asked = partial(values_of, names, quantities)
 
     def one(key: jax.Array) -> tuple[jax.Array, ...]:
         key_start, key_fresh, key_moves = jax.random.split(key, 3)

@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..models.exposures import Exposures
-from ..models.priors.base import Prior
-from ..problem import Posterior, Problem
+from ..problem import Posterior
 from ..samplers.base import Sampler
-from .campaign import Drawer
+from .campaign import Drawer, Enumerated
 from .quantities import Quantity
 from .sbc import Calibration, sbc
 
@@ -57,9 +56,8 @@ def posterior_sbc(
     if not isinstance(posterior, Posterior):
         raise ValueError(f"posterior is a {type(posterior).__name__}: use problem.condition(y)")
     objects = _chosen(first, posterior, simulations)
-    problem = _SecondExposure(
-        Exposures(posterior.likelihood, 2), posterior.prior, posterior.y, objects, key
-    )
+    both = Exposures(posterior.likelihood, 2)
+    problem = _SecondExposure(both, posterior.prior, posterior.y, objects)
     return sbc(
         problem, sampler, key, simulations, quantities=quantities, chains=chains, draws=draws,
         warmup=warmup, thin=thin, independent=independent, batch=batch, folder=folder,
@@ -67,29 +65,14 @@ def posterior_sbc(
     )  # fmt: skip
 
 
-class _SecondExposure(Problem):
+class _SecondExposure(Enumerated):
     """Two exposures of which one is recorded; simulated of the objects (n, *shape) in turn."""
 
     y: jax.Array
     objects: jax.Array
-    keys: jax.Array
 
-    def __init__(
-        self,
-        likelihood: Exposures,
-        prior: Prior,
-        y: jax.Array,
-        objects: jax.Array,
-        key: jax.Array,
-    ):
-        self.likelihood, self.prior, self.y, self.objects = likelihood, prior, y, objects
-        # A campaign gives each simulation a key and no number: it is told by the key.
-        numbered = jax.vmap(lambda i: jax.random.split(jax.random.fold_in(key, i))[0])
-        self.keys = jax.random.key_data(numbered(jnp.arange(len(objects))))
-
-    def simulate(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The object of this key, and the recording beside a second exposure of it."""
-        number = jnp.argmax(jnp.all(self.keys == jax.random.key_data(key), axis=1))
+    def numbered(self, key: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The object of this number, and the recording beside a second exposure of it."""
         x = self.objects[number]
         second = self.likelihood.likelihood.simulate(key, x)
         return x, jnp.stack([self.y.astype(second.dtype), second])

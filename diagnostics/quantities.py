@@ -5,7 +5,7 @@ faults it sees depends on f: those of the recording, such as the log-likelihood,
 that forgot its data, and pixels or parameters never do (Modrak et al. 2023).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -22,6 +22,17 @@ Quantity = Callable[[jax.Array, jax.Array], jax.Array]
 
 _RINGS = {"low": (0.0, 1 / 6), "middle": (1 / 6, 1 / 3), "high": (1 / 3, np.inf)}
 _SCALES = 3
+
+
+def values_of(
+    names: Sequence[str], quantities: Sequence[Quantity], x: jax.Array, y: jax.Array
+) -> jax.Array:
+    """The quantities of (x, y), (Q,); ValueError, with its name, for one that is no real number."""
+    found = [f(x, y) for f in quantities]
+    for name, value in zip(names, found):
+        if jnp.shape(value) != () or jnp.iscomplexobj(value):
+            raise ValueError(f"{name} is no real number (f(x, y) gives {value}): give one")
+    return jnp.stack(found)
 
 
 class LogLikelihood(eqx.Module):

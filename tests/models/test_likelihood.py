@@ -116,7 +116,7 @@ def test_a_wrong_full_well_fails_the_same_identities(x64):
     assert np.abs(z).max() > 4
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", EACH)
 def test_a_batch_changes_nothing(x64, name):
     likelihood, x = case(name)
     y = likelihood.simulate(jax.random.key(1), x)
