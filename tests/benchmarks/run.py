@@ -190,7 +190,7 @@ def convergence_against_arviz():
     axes = {"chain_axis": 0, "draw_axis": 1}
     rng = np.random.default_rng(0)
     for chains, draws in ((1, 100), (4, 100), (4, 1000)):
-        x = rng.standard_normal((chains, draws, 1000))
+        x = rng.standard_normal((chains, draws, 1000)).astype(np.float32)
         pairs = {"ess": (diagnostics.ess, lambda x: array_stats.ess(x, **axes, method="bulk"))}
         if chains > 1:
             pairs["rhat"] = (diagnostics.rhat, lambda x: array_stats.rhat(x, **axes))
