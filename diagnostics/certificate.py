@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..models.gallery import GALLERY, Known
+from ..models.gallery import GALLERY, Known, file_name
 from ..problem import Problem
 from ..samplers.base import RunSampler, Sampler
 from ..sampling import NonFiniteError
@@ -209,8 +209,3 @@ def _worst_coverage(found: Certificate) -> str:
 def said(value: float | None, form: str) -> str:
     """A number in this format; nothing, where there is none."""
     return "" if value is None else format(value, form)
-
-
-def file_name(name: str) -> str:
-    """The name of a problem, as a file may have it."""
-    return "".join(c if c.isalnum() else "-" for c in name)

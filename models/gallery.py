@@ -287,6 +287,11 @@ GALLERY: dict[str, Callable[[], Known]] = {
 }
 
 
+def file_name(name: str) -> str:
+    """The name of a problem, as a file may have it."""
+    return "".join(c if c.isalnum() else "-" for c in name)
+
+
 def _of_complex(
     modes: np.ndarray, weights: list[float], sd: float, optics: Optics, sigma_0: float
 ) -> Known:

@@ -1,4 +1,4 @@
-"""The command line: `posterior sample`, `repeat`, `train`, `certify`, `demo`.
+"""The command line: `posterior sample`, `repeat`, `train`, `certify`, `gallery`, `demo`.
 
 A command is a file of this folder with a function `command`, and one line below. The command line
 is the front door: it alone may look into every room.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import typer
 
 from ..sampling import NonFiniteError
-from . import certify, demo, repeat, sample, train
+from . import certify, demo, gallery, repeat, sample, train
 
 _REFUSED = (ValueError, NonFiniteError, OSError)
 
@@ -24,6 +24,7 @@ app.command("sample")(sample.command)
 app.command("repeat")(repeat.command)
 app.command("train")(train.command)
 app.command("certify")(certify.command)
+app.command("gallery")(gallery.command)
 app.command("demo")(demo.command)
 
 

@@ -11,11 +11,11 @@ import jax
 import typer
 
 from ..diagnostics.campaign import Settings
-from ..diagnostics.certificate import Certificate, as_table, certify, file_name, settings_of
+from ..diagnostics.certificate import Certificate, as_table, certify, settings_of
 from ..diagnostics.certificate_page import as_page, rank_picture
 from ..diagnostics.certificate_plot import plot_certificates
 from ..files import replace_whole
-from ..models.gallery import GALLERY, Known
+from ..models.gallery import GALLERY, Known, file_name
 from ..presets import SAMPLERS
 from ..problem import Problem
 from ..samplers import Sampler

@@ -1,0 +1,115 @@
+"""Stored moments of the gallery, and their errors: against closed forms and draws made anew."""
+
+import jax
+import numpy as np
+import pytest
+import scipy.stats
+
+from posterior import cli
+from posterior.models import reference
+from posterior.models.gallery import GALLERY, file_name
+
+QUICK = "mixture, 8 dimensions"
+
+
+@pytest.mark.parametrize("name", ["linear Gaussian", "linear Gaussian, 4 rows of 32"])
+def test_of_a_gaussian_they_are_the_closed_form(name):
+    """By a solve of the normal equations, not by the gain that the gallery uses."""
+    known, found = GALLERY[name](), reference.load(name)
+    h = np.asarray(known.likelihood.optics.matrix, float)
+    noise, prior = known.likelihood.camera.sigma, known.prior
+    prior_precision = np.linalg.inv(np.asarray(prior.covariance, float))
+    precision = prior_precision + h.T @ h / noise**2
+    right = prior_precision @ np.asarray(prior.mean, float) + h.T @ found.recording / noise**2
+    mean, sd = np.linalg.solve(precision, right), np.sqrt(np.diag(np.linalg.inv(precision)))
+    z = np.concatenate([(found.mean - mean) / found.mean_error, (found.sd - sd) / found.sd_error])
+    assert 2 * scipy.stats.t(found.sets - 1).sf(np.abs(z).max()) * z.size > 1e-3
+    # The errors too are right: neither too large nor too small.
+    np.testing.assert_allclose(np.median(found.mean_error / sd) * np.sqrt(2e5), 1, atol=0.1)
+
+
+def test_of_counts_they_are_the_gamma_posterior():
+    found = reference.load("gamma and Poisson")
+    exact = scipy.stats.gamma(3 + 50 * found.recording, scale=1 / 70)
+    assert np.abs((found.mean - exact.mean()) / found.mean_error).max() < 4
+    assert np.abs((found.sd - exact.std()) / found.sd_error).max() < 4
+
+
+@pytest.mark.parametrize(
+    "name", [QUICK, *(pytest.param(n, marks=pytest.mark.slow) for n in GALLERY if n != QUICK)]
+)
+def test_they_are_found_again(name):
+    """By another seed; draws 5 % too wide, or moved by 5 % of their sd, are not taken for it."""
+    with jax.enable_x64(True):
+        known, found = GALLERY[name](), reference.load(name)
+        y = np.asarray(found.recording)
+        anew = reference.make(known, y, jax.random.key(9))
+        z, p = reference.apart(anew, found)
+        print(f"\n{name}: {z:.1f} standard errors, p {p:.2g}")
+        assert p > 1e-3 / len(GALLERY)
+        wide = anew._replace(sd=1.05 * anew.sd)
+        moved = anew._replace(mean=anew.mean + 0.05 * anew.sd)
+        assert reference.apart(wide, found)[1] < 1e-3
+        assert reference.apart(moved, found)[1] < 1e-3
+
+
+def test_references_of_exact_draws_agree_at_the_nominal_rate():
+    """Of 60 pairs, at 5 %: the bounds hold 99 % of binomial counts; Bonferroni errs downwards."""
+    known, found = GALLERY["gamma and Poisson"](), reference.load("gamma and Poisson")
+    made = [
+        reference.make(known, found.recording, jax.random.key(i), sets=20, draws=100)
+        for i in range(120)
+    ]
+    alarms = sum(reference.apart(a, b)[1] < 0.05 for a, b in zip(made[:60], made[60:], strict=True))
+    assert alarms <= scipy.stats.binom(60, 0.05).isf(0.005)
+    z = [(a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error) for a, b in zip(made, made[60:])]
+    # Of two errors of 19 degrees each, some 38 together.
+    squares = np.asarray(z) ** 2 * 36 / 38
+    assert abs(squares.mean() - 1) < 4 * np.sqrt(2.2 / squares.size)
+
+
+def test_every_problem_has_one_that_fits_it():
+    for name in GALLERY:
+        found = reference.load(name)
+        assert (found.sets, found.draws) == (50, 4000)
+        assert found.mean.shape == found.sd.shape == found.mean_error.shape
+        assert np.all(found.sd > 0) and np.all(found.mean_error > 0)
+        if found.masses.size:
+            assert abs(found.masses.sum() - 1) < 1e-12
+
+
+def test_bad_files_names_and_recordings_are_one_sentence(tmp_path):
+    with pytest.raises(ValueError, match="unknown problem 'x'"):
+        reference.load("x")
+    with pytest.raises(FileNotFoundError):
+        reference.load(QUICK, tmp_path)
+    whole = (reference.STORED / f"{file_name(QUICK)}.npz").read_bytes()
+    for damaged in (b"", whole[:500], whole[: len(whole) // 2]):
+        (tmp_path / f"{file_name(QUICK)}.npz").write_bytes(damaged)
+        with pytest.raises(ValueError, match="is damaged: restore it"):
+            reference.load(QUICK, tmp_path)
+    other = reference.load("mixture, 80 dimensions")
+    with pytest.raises(ValueError, match="different recordings"):
+        reference.apart(reference.load(QUICK), other)
+    with pytest.raises(ValueError, match="give 2 or more"):
+        reference.make(GALLERY[QUICK](), other.recording, jax.random.key(0), sets=1)
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["gallery", *arguments])
+    return caught.value.code or 0
+
+
+def test_the_command_compares_writes_and_says_what_differs(tmp_path, capsys, monkeypatch):
+    assert run("--problem", QUICK, "--out", str(tmp_path)) == 0
+    said = capsys.readouterr().out
+    assert f"| {QUICK} | 200000 | 25 |" in said and "closed form" in said
+    made = reference.load(QUICK, tmp_path)
+    assert 0 < reference.apart(made, reference.load(QUICK))[0] < 5
+    wrong = reference.load(QUICK)
+    wrong = wrong._replace(mean=wrong.mean + 10 * wrong.mean_error)
+    monkeypatch.setattr(reference, "load", lambda name: wrong)
+    assert run("--problem", QUICK, "--quiet") == 2
+    assert f"differ from the stored ones: {QUICK} (p = " in capsys.readouterr().err
+    assert run("--problem", "x") == 2
