@@ -41,14 +41,16 @@ def laplace(
     y: jax.Array,
     count: int,
     freedom: float = 20.0,
+    starts: int = 1,
 ) -> Weighted:
     """`count` proposals for the posterior of `y`, weighed by it.
 
-    Of each component times the likelihood the maximum is sought by Newton's method, and a Student's
-    t of `freedom` degrees with its curvature stands there, weighed by Laplace's evidence (Tierney
-    and Kadane 1986). Exact as `count` grows; look at `effective`, which a posterior with more
-    maxima than the prior has components makes small, or misleads. For some ten unknowns to a
-    hundred: Hessians are dense. Traceable.
+    Of each component times the likelihood the maximum is sought by Newton's method, from the
+    component's mean and `starts` - 1 draws of it. At every end stands a Student's t of `freedom`
+    degrees with the curvature there, weighed by Laplace's evidence (Tierney and Kadane 1986); ends
+    that coincide do no harm, for the density of all is divided by. Exact as `count` grows; look at
+    `effective`, which a posterior with more maxima than were found makes small, or misleads. For
+    some ten unknowns to a hundred: Hessians are dense. Traceable.
     """
     shape, dtype = prior.shape, prior.dtype
     means = prior.means
@@ -65,7 +67,7 @@ def laplace(
         seen = likelihood.log_prob(from_real(v, shape, dtype), y)
         return prior.log_weights[k] - 0.5 * (scatter + volume) + seen
 
-    def fitted(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def fitted(k: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Maximum, root of the covariance there, and Laplace's log-evidence."""
 
         def improve(v: jax.Array, _: None) -> tuple[jax.Array, None]:
@@ -76,12 +78,16 @@ def laplace(
             best = jnp.argmax(jnp.where(jnp.isnan(values), -jnp.inf, values))
             return jnp.where(values[best] > component(k, v), tried[best], v), None
 
-        v, _ = jax.lax.scan(improve, means[k], None, length=_NEWTON)
+        v, _ = jax.lax.scan(improve, start, None, length=_NEWTON)
         root = _covariance_root(jax.hessian(lambda v: component(k, v))(v), variances[k])
         return v, root, component(k, v) + jnp.linalg.slogdet(root)[1]
 
     n = means.shape[1]
-    modes, roots, evidence = jax.vmap(fitted)(jnp.arange(len(means)))
+    key, key_starts = jax.random.split(key)
+    away = jax.random.normal(key_starts, (starts, *means.shape), means.dtype)
+    away = jnp.einsum("kij,skj->ski", vectors, jnp.sqrt(variances) * away.at[0].set(0.0))
+    components = jnp.tile(jnp.arange(len(means)), starts)
+    modes, roots, evidence = jax.vmap(fitted)(components, (means + away).reshape(-1, n))
     # A component that was not fitted proposes nothing.
     found = jnp.isfinite(evidence) & jnp.all(jnp.isfinite(roots), axis=(1, 2))
     modes = jnp.where(found[:, None], modes, 0.0)

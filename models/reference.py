@@ -24,8 +24,8 @@ class Reference(NamedTuple):
     `mean` and `sd` (n,) are of the components of the real view (`realview.to_real`: real parts,
     then imaginary ones), `masses` (K,) the shares of draws nearest to each of `Known.modes`, with
     K = 0 where there are none. Each stands beside its standard error, from how the sets scatter.
-    Where draws are by importance (`basis`) there is a bias of the order of one over the effective
-    number of a set's proposals, 141 to 4000 and in most cases thousands, in posterior sd.
+    Where draws are by importance (`basis`) a set is worth fewer draws, which its errors show, and
+    has a bias of the order of one over that number, in posterior sd.
     """
 
     recording: np.ndarray
@@ -38,6 +38,10 @@ class Reference(NamedTuple):
     sets: int
     draws: int
     basis: str
+
+    def worth(self) -> float:
+        """How many independent draws would have these errors of the mean: the median over it."""
+        return float(np.median((self.sd / self.mean_error) ** 2))
 
 
 def make(

@@ -33,8 +33,8 @@ def command(
         if name not in GALLERY:
             raise ValueError(f"unknown problem {name!r}: use one of {'; '.join(GALLERY)}")
     if not quiet:
-        print("| problem | draws | numbers | largest difference, standard errors | p | basis |")
-        print("|---|---|---|---|---|---|", flush=True)
+        columns = "problem", "draws", "worth", "numbers", "largest difference, errors", "p", "basis"
+        print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
     differ = []
     for name in names:
         made, found = _made(name, seed)
@@ -47,7 +47,8 @@ def command(
             replace_whole(file, lambda part, made=made: _save(made, part))
         if not quiet:
             numbers = made.mean.size + made.sd.size + made.masses.size
-            cells = name, str(made.sets * made.draws), str(numbers), f"{z:.1f}", f"{p:.2g}"
+            drawn, worth = made.sets * made.draws, f"{made.worth():.0f}"
+            cells = name, str(drawn), worth, str(numbers), f"{z:.1f}", f"{p:.2g}"
             print(f"| {' | '.join((*cells, made.basis))} |", flush=True)
     if differ:
         raise ValueError(f"moments differ from the stored ones: {', '.join(differ)}")
