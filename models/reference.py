@@ -78,8 +78,8 @@ def _moments(
     v = jax.vmap(to_real)(exact(key, y, draws))
     if modes is None:
         return v.mean(axis=0), v.std(axis=0), jnp.zeros(0)
-    apart = jax.vmap(lambda mode: jnp.sum((v - mode) ** 2, axis=1), out_axes=1)(modes)
-    nearest = jnp.argmin(apart, axis=1)[:, None] == jnp.arange(len(modes))
+    distances = jax.vmap(lambda mode: jnp.sum((v - mode) ** 2, axis=1), out_axes=1)(modes)
+    nearest = jnp.argmin(distances, axis=1)[:, None] == jnp.arange(len(modes))
     return v.mean(axis=0), v.std(axis=0), nearest.astype(v.dtype).mean(axis=0)
 
 
