@@ -43,6 +43,10 @@ class Enumerated(Problem):
     def numbered(self, key: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The pair (x, y) of this number, from 0; in place of `simulate`."""
 
+    def simulate(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Not told by a key alone: TypeError."""
+        raise TypeError("simulations of this problem have numbers: use numbered(key, number)")
+
 
 class Settings(NamedTuple):
     """Of every run: as in `posterior.sample`."""

@@ -323,7 +323,7 @@ def _by_laplace(
         proposed = laplace(key_proposed, likelihood, prior, y, proposals, starts=starts)
         return proposed.resampled(key_chosen, count)
 
-    basis = f"importance sampling of {proposals} draws of Laplace's normals"
+    basis = f"importance sampling of {proposals} draws about maxima found from {starts} starts"
     return Known(likelihood, prior, exact, basis, modes if len(modes) > 1 else None)
 
 

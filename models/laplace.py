@@ -48,8 +48,8 @@ def laplace(
     Of each component times the likelihood the maximum is sought by Newton's method, from the
     component's mean and `starts` - 1 draws of it. At every end stands a Student's t of `freedom`
     degrees with the curvature there, weighed by Laplace's evidence (Tierney and Kadane 1986); ends
-    that coincide do no harm, for the density of all is divided by. Exact as `count` grows; look at
-    `effective`, which a posterior with more maxima than were found makes small, or misleads. For
+    that coincide leave it exact, for the density of all is divided by. Exact as `count` grows; look
+    at `effective`, which a posterior with more maxima than were found makes small, or misleads. For
     some ten unknowns to a hundred: Hessians are dense. Traceable.
     """
     shape, dtype = prior.shape, prior.dtype

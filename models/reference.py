@@ -1,7 +1,6 @@
 """Stored moments of the gallery's posteriors, with their standard errors, and how they are made."""
 
 import os
-import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +49,7 @@ def make(
     """The reference of `known` for the recording `y`, of `sets` sets of `draws` by `known.exact`.
 
     In the precision of JAX at the call: use `jax.enable_x64`. Raises ValueError for fewer than two
-    sets, whose scatter is unknown.
+    sets, whose scatter is unknown, and for draws that are not finite.
     """
     if sets < 2:
         raise ValueError(f"{sets} sets of draws: give 2 or more, their scatter is the error")
@@ -60,6 +59,8 @@ def make(
     keys = jax.random.split(key, sets)
     found = [_moments(known.exact, y, modes, draws, key) for key in keys]
     means, sds, masses = (np.asarray(part, float) for part in zip(*found))
+    if not all(np.isfinite(part).all() for part in (means, sds, masses)):
+        raise ValueError("the exact draws hold NaN: no proposal has any weight for this recording")
     # The spread of the sets' means is part of the spread of all draws.
     sd = np.sqrt((sds**2).mean(axis=0) + means.var(axis=0))
     errors = (part.std(axis=0, ddof=1) / np.sqrt(sets) for part in (means, sds, masses))
@@ -87,17 +88,20 @@ def apart(a: Reference, b: Reference) -> tuple[float, float]:
     """The largest difference of two references in standard errors, and its p-value.
 
     Over all their numbers, by Bonferroni, with Student's t of the smaller number of sets. Raises
-    ValueError for references of other recordings or sizes.
+    ValueError for references of other recordings or sizes, and for numbers that are not finite.
     """
-    if not np.array_equal(a.recording, b.recording) or a.mean.shape != b.mean.shape:
+    sizes = [(one.mean.shape, one.masses.shape) for one in (a, b)]
+    if not np.array_equal(a.recording, b.recording) or sizes[0] != sizes[1]:
         raise ValueError("the references are of different recordings: compare those of one")
     z = []
     for name in ("mean", "sd", "masses"):
         error = np.hypot(getattr(a, f"{name}_error"), getattr(b, f"{name}_error"))
         difference = np.abs(getattr(a, name) - getattr(b, name))
         # A mode that no draw is near has the mass 0 in both, without error.
-        z.append(difference[difference > 0] / error[difference > 0])
+        z.append(difference[difference != 0] / error[difference != 0])
     z = np.concatenate(z)
+    if not np.isfinite(z).all():
+        raise ValueError("a reference holds NaN, or an error of 0: make it again")
     if not z.size:
         return 0.0, 1.0
     p = 2 * scipy.stats.t(min(a.sets, b.sets) - 1).sf(z.max()) * z.size
@@ -118,11 +122,12 @@ def load(name: str, folder: str | os.PathLike = STORED) -> Reference:
     if name not in GALLERY:
         raise ValueError(f"unknown problem {name!r}: use one of {'; '.join(GALLERY)}")
     file = Path(folder) / f"{file_name(name)}.npz"
-    try:
-        # Opened here: NumPy leaves a damaged file open.
-        with open(file, "rb") as opened, np.load(opened, allow_pickle=False) as kept:
-            fields = {field: kept[field] for field in Reference._fields}
-    except (zipfile.BadZipFile, KeyError, EOFError, ValueError) as error:
-        raise ValueError(f"{file} is damaged: restore it from the project") from error
+    # Opened here: NumPy leaves a damaged file open.
+    with open(file, "rb") as opened:
+        try:
+            with np.load(opened, allow_pickle=False) as kept:
+                fields = {field: kept[field] for field in Reference._fields}
+        except Exception as error:  # of a damaged archive: of many kinds
+            raise ValueError(f"{file} is damaged: restore it from the project") from error
     plain = {"sets": int, "draws": int, "basis": str}
     return Reference(**{k: plain.get(k, np.asarray)(v) for k, v in fields.items()})

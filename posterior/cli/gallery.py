@@ -23,7 +23,8 @@ def command(
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the draws; the stored ones are of seed 0.")] = 1,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the new references; unsaid: only compare.")
+        Path | None,
+        typer.Option(help="Folder for the new ones, of the same recordings."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -32,6 +33,8 @@ def command(
     for name in names:
         if name not in GALLERY:
             raise ValueError(f"unknown problem {name!r}: use one of {'; '.join(GALLERY)}")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     if not quiet:
         columns = "problem", "draws", "worth", "numbers", "largest difference, errors", "p", "basis"
         print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
@@ -42,7 +45,6 @@ def command(
         if p < _ALPHA / len(names):
             differ.append(f"{name} (p = {p:.2g})")
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
             file = out / f"{file_name(name)}.npz"
             replace_whole(file, lambda part, made=made: _save(made, part))
         if not quiet:
