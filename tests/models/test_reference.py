@@ -99,9 +99,7 @@ def test_bad_files_names_and_recordings_are_one_sentence(tmp_path):
     found = reference.load(QUICK)
     with pytest.raises(ValueError, match="holds NaN"):
         reference.apart(found._replace(mean=found.mean * np.nan), found)
-    lost = GALLERY[QUICK]()._replace(
-        exact=lambda key, y, count: jax.numpy.full((count, 8), np.nan)
-    )
+    lost = GALLERY[QUICK]()._replace(exact=lambda key, y, count: jax.numpy.full((count, 8), np.nan))
     with pytest.raises(ValueError, match="draws hold NaN"):
         reference.make(lost, found.recording, jax.random.key(0), sets=2)
     with pytest.raises(ValueError, match="give 2 or more"):
