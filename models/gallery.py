@@ -13,7 +13,7 @@ import numpy as np
 
 from .camera import Gaussian as GaussianCamera
 from .camera import Poisson
-from .laplace import laplace
+from .laplace import Weighted, laplace
 from .likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
 from .optics import (
     Blur,
@@ -35,7 +35,8 @@ class Known(NamedTuple):
     """A likelihood and a prior, and `exact(key, y, count)`: independent draws (count, *shape).
 
     `exact` is traceable by JAX. `basis` says what it rests on, and how fine that is;
-    `modes`, where the posterior has several, are objects (modes, *shape), one in each.
+    `modes`, where the posterior has several, are objects (modes, *shape), one in each;
+    `proposed(key, y)`, where draws are by importance, are the weighted ones they are taken from.
     """
 
     likelihood: Likelihood
@@ -43,6 +44,7 @@ class Known(NamedTuple):
     exact: Exact
     basis: str
     modes: np.ndarray | None = None
+    proposed: Callable[[jax.Array, jax.Array], Weighted] | None = None
 
 
 def linear_gaussian(
@@ -211,14 +213,12 @@ def two_pixel_retrieval(sigma_0: float = 0.25, proposals: int = 20_000) -> Known
     prior = GaussianMixture(np.array([2.0, 1.0]) / 3, means, covariances, (2,), complex)
     likelihood = IntensityLikelihood(Fourier((2,), oversampling=2), Poisson(round(1 / sigma_0**2)))
 
-    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
-        key_prior, key_chosen = jax.random.split(key)
-        objects = jax.vmap(prior.sample)(jax.random.split(key_prior, proposals))
-        logits = jax.vmap(lambda o: likelihood.log_prob(o, y))(objects)
-        return objects[_drawn_cells(key_chosen, logits, count)]
+    def proposed(key: jax.Array, y: jax.Array) -> Weighted:
+        objects = jax.vmap(prior.sample)(jax.random.split(key, proposals))
+        return Weighted(objects, jax.vmap(lambda o: likelihood.log_prob(o, y))(objects))
 
     basis = f"importance sampling of {proposals} draws of the prior"
-    return Known(likelihood, prior, exact, basis, twins)
+    return Known(likelihood, prior, _resampled(proposed), basis, twins, proposed)
 
 
 def six_pixel_retrieval(sigma_0: float = 0.1) -> Known:
@@ -318,13 +318,20 @@ def _by_laplace(
     proposals: int = 4000,
     starts: int = 1,
 ) -> Known:
-    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
-        key_proposed, key_chosen = jax.random.split(key)
-        proposed = laplace(key_proposed, likelihood, prior, y, proposals, starts=starts)
-        return proposed.resampled(key_chosen, count)
+    def proposed(key: jax.Array, y: jax.Array) -> Weighted:
+        return laplace(key, likelihood, prior, y, proposals, starts=starts)
 
     basis = f"importance sampling of {proposals} draws about maxima found from {starts} starts"
-    return Known(likelihood, prior, exact, basis, modes if len(modes) > 1 else None)
+    several = modes if len(modes) > 1 else None
+    return Known(likelihood, prior, _resampled(proposed), basis, several, proposed)
+
+
+def _resampled(proposed: Callable[[jax.Array, jax.Array], Weighted]) -> Exact:
+    def exact(key: jax.Array, y: jax.Array, count: int) -> jax.Array:
+        key_proposed, key_chosen = jax.random.split(key)
+        return proposed(key_proposed, y).resampled(key_chosen, count)
+
+    return exact
 
 
 def _unit_mixture(

@@ -56,9 +56,8 @@ def make(
     y = jnp.asarray(y)
     modes = None if known.modes is None else jax.vmap(to_real)(jnp.asarray(known.modes))
 
-    keys = jax.random.split(key, sets)
-    found = [_moments(known.exact, y, modes, draws, key) for key in keys]
-    means, sds, masses = (np.asarray(part, float) for part in zip(*found))
+    found = _moments(known.exact, y, modes, draws, jax.random.split(key, sets))
+    means, sds, masses = (np.asarray(part, float) for part in found)
     if not all(np.isfinite(part).all() for part in (means, sds, masses)):
         raise ValueError("the exact draws hold NaN: no proposal has any weight for this recording")
     # The spread of the sets' means is part of the spread of all draws.
@@ -73,15 +72,19 @@ def make(
 
 @eqx.filter_jit
 def _moments(
-    exact: Exact, y: jax.Array, modes: jax.Array | None, draws: int, key: jax.Array
+    exact: Exact, y: jax.Array, modes: jax.Array | None, draws: int, keys: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Mean, sd and masses of one set of draws."""
-    v = jax.vmap(to_real)(exact(key, y, draws))
-    if modes is None:
-        return v.mean(axis=0), v.std(axis=0), jnp.zeros(0)
-    distances = jax.vmap(lambda mode: jnp.sum((v - mode) ** 2, axis=1), out_axes=1)(modes)
-    nearest = jnp.argmin(distances, axis=1)[:, None] == jnp.arange(len(modes))
-    return v.mean(axis=0), v.std(axis=0), nearest.astype(v.dtype).mean(axis=0)
+    """Means (sets, n), sds (sets, n) and masses (sets, K), a set after the other."""
+
+    def of_set(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        v = jax.vmap(to_real)(exact(key, y, draws))
+        if modes is None:
+            return v.mean(axis=0), v.std(axis=0), jnp.zeros(0)
+        distances = jax.vmap(lambda mode: jnp.sum((v - mode) ** 2, axis=1), out_axes=1)(modes)
+        nearest = jnp.argmin(distances, axis=1)[:, None] == jnp.arange(len(modes))
+        return v.mean(axis=0), v.std(axis=0), nearest.astype(v.dtype).mean(axis=0)
+
+    return jax.lax.map(of_set, keys)
 
 
 def apart(a: Reference, b: Reference) -> tuple[float, float]:
@@ -109,8 +112,10 @@ def apart(a: Reference, b: Reference) -> tuple[float, float]:
 
 
 def save(reference: Reference, file: str | os.PathLike) -> None:
-    """As an archive of NumPy, an array a field."""
-    np.savez_compressed(file, **reference._asdict())
+    """As an archive of NumPy, an array a field, under this very name."""
+    # To names, not to open files, NumPy adds an ending.
+    with open(file, "wb") as opened:
+        np.savez_compressed(opened, **reference._asdict())
 
 
 def load(name: str, folder: str | os.PathLike = STORED) -> Reference:

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import jax
-import numpy as np
 import typer
 
 from ..files import replace_whole
@@ -33,20 +32,22 @@ def command(
     for name in names:
         if name not in GALLERY:
             raise ValueError(f"unknown problem {name!r}: use one of {'; '.join(GALLERY)}")
+    # Before any work: a damaged one ends it.
+    stored = {name: _stored(name) for name in names}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     if not quiet:
         columns = "problem", "draws", "worth", "numbers", "largest difference, errors", "p", "basis"
         print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
     differ = []
-    for name in names:
-        made, found = _made(name, seed)
-        z, p = (float("nan"), float("nan")) if found is None else reference.apart(made, found)
+    for name, kept in stored.items():
+        made = _made(name, kept, seed)
+        z, p = (float("nan"), float("nan")) if kept is None else reference.apart(made, kept)
         if p < _ALPHA / len(names):
             differ.append(f"{name} (p = {p:.2g})")
         if out is not None:
             file = out / f"{file_name(name)}.npz"
-            replace_whole(file, lambda part, made=made: _save(made, part))
+            replace_whole(file, lambda part, made=made: reference.save(made, part))
         if not quiet:
             numbers = made.mean.size + made.sd.size + made.masses.size
             drawn, worth = made.sets * made.draws, f"{made.worth():.0f}"
@@ -56,22 +57,21 @@ def command(
         raise ValueError(f"moments differ from the stored ones: {', '.join(differ)}")
 
 
-def _made(name: str, seed: int) -> tuple[reference.Reference, reference.Reference | None]:
-    """The reference of this seed, and the stored one, of whose recording it is."""
+def _stored(name: str) -> reference.Reference | None:
+    try:
+        return reference.load(name)
+    except FileNotFoundError:
+        return None
+
+
+def _made(name: str, stored: reference.Reference | None, seed: int) -> reference.Reference:
+    """The reference of this seed, of the recording that is stored, or of a first one."""
     with jax.enable_x64(True):
         known = GALLERY[name]()
-        try:
-            found = reference.load(name)
-            y = found.recording
-        except FileNotFoundError:
-            found = None
-            y = np.asarray(Problem(known.likelihood, known.prior).simulate(jax.random.key(0))[1])
+        if stored is None:
+            y = Problem(known.likelihood, known.prior).simulate(jax.random.key(0))[1]
+        else:
+            y = stored.recording
         # Away from the key that made the recording.
         key = jax.random.fold_in(jax.random.key(seed), 2**31)
-        return reference.make(known, y, key), found
-
-
-def _save(made: reference.Reference, part: str) -> None:
-    # NumPy adds an ending to names, not to open files.
-    with open(part, "wb") as file:
-        reference.save(made, file)
+        return reference.make(known, y, key)

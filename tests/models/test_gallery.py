@@ -52,17 +52,9 @@ def parts(x):
     return np.concatenate([np.abs(x), x.real, x.imag], axis=-1) if np.iscomplexobj(x) else x
 
 
-def proposed(name, key, known, y):
-    """As the gallery proposes them."""
-    count, starts = (int(word) for word in known.basis.split() if word.isdigit())
-    return laplace(key, known.likelihood, known.prior, y, count, starts=starts)
-
-
-def effective(name, known, y, count=20_000):
-    """How many of the exact draws count on this recording, where they are drawn by importance."""
-    if name in BY_LAPLACE:
-        return proposed(name, jax.random.key(2), known, y).effective()
-    return 700 if "importance" in known.basis else count
+def effective(known, y, count=20_000):
+    """How many of the exact draws count on this recording."""
+    return count if known.proposed is None else known.proposed(jax.random.key(2), y).effective()
 
 
 @pytest.mark.slow
@@ -100,7 +92,7 @@ def test_moments_agree_with_tempered_smc(x64, name):
     # Real and imaginary parts too: modes may differ by a turn alone.
     exact, values = (parts(a) for a in (exact, run.values.reshape(16, 500, -1)))
     means = values.mean(axis=1)
-    count = effective(name, known, y)
+    count = effective(known, y)
     error = np.hypot(means.std(axis=0, ddof=1) / 4, exact.std(axis=0) / np.sqrt(count))
     z = (means.mean(axis=0) - exact.mean(axis=0)) / error
     # Student's t of 15 populations, for so many numbers: once in 200 correct runs.
@@ -122,10 +114,10 @@ def test_laplace_weighs_its_draws_of_a_gaussian_equally(x64):
 
 
 def test_weights_of_laplace_give_the_moments(x64):
-    """Of a mixture of normals, through proposals with the tails of Student's t."""
+    """Of a mixture of normals, by proposals with the tails of Student's t, from three starts."""
     known = GALLERY["mixture, 8 dimensions"]()
     _, y = recorded(known)
-    found = laplace(jax.random.key(0), known.likelihood, known.prior, y, 20_000)
+    found = laplace(jax.random.key(0), known.likelihood, known.prior, y, 20_000, starts=3)
     w = np.asarray(jax.nn.softmax(found.log_weights))
     mean = w @ np.asarray(found.objects)
     error = np.sqrt(w**2 @ (np.asarray(found.objects) - mean) ** 2)
@@ -153,7 +145,7 @@ def test_draws_by_importance_count_for_enough(name):
     def one(key):
         key_joint, key_proposed = jax.random.split(key)
         y = problem.simulate(key_joint)[1]
-        return proposed(name, key_proposed, known, y).effective()
+        return known.proposed(key_proposed, y).effective()
 
     keys = jax.random.split(jax.random.key(0), 100)
     found = np.asarray(jax.jit(lambda keys: jax.lax.map(one, keys, batch_size=20))(keys))
