@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..estimators.quasi_newton import default_start
-from ..models.exposures import Exposures
-from ..models.likelihood import Likelihood, LinearLikelihood
+from ..models.likelihood import Likelihood
 from ..models.priors.base import Prior
 from ..problem import Problem
 
@@ -73,7 +72,7 @@ class DistanceToEstimate(eqx.Module):
     does not, it passes the prior for the posterior.
     """
 
-    likelihood: LinearLikelihood
+    likelihood: Likelihood
 
     def __call__(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """A real scalar."""
@@ -160,9 +159,7 @@ def default_quantities(problem: Problem) -> dict[str, Quantity]:
     if has_density(prior):
         found["log-prior"] = LogPrior(prior)
         found["log-posterior"] = LogPosterior(likelihood, prior)
-    if isinstance(likelihood, Exposures) and isinstance(likelihood.likelihood, LinearLikelihood):
-        likelihood = LinearLikelihood(likelihood.optics, likelihood.camera)
-    if isinstance(likelihood, LinearLikelihood):
+    if likelihood.linear:
         found["distance to estimate"] = DistanceToEstimate(likelihood)
     found["squared norm"] = SquaredNorm()
     for patch in _patches(tuple(shape[axis] for axis in axes)):

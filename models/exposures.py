@@ -52,6 +52,11 @@ class Exposures(Likelihood):
         return _Repeated(self.likelihood.optics, self.count)
 
     @property
+    def linear(self) -> bool:
+        """As of one exposure."""
+        return self.likelihood.linear
+
+    @property
     def camera(self) -> Camera:
         """The camera of every exposure."""
         return self.likelihood.camera

@@ -41,6 +41,11 @@ class Likelihood(eqx.Module):
         """Shape of the object."""
         return self.optics.in_shape
 
+    @property
+    def linear(self) -> bool:
+        """Whether the camera records the field itself, so that the expected signal is Hx."""
+        return False
+
     @abc.abstractmethod
     def expected(self, x: jax.Array) -> jax.Array:
         """Expected signal of the object `x`, in units of the full well; shape of the data."""
@@ -130,6 +135,11 @@ class LinearLikelihood(Likelihood):
 
     def __check_init__(self):
         _check_parts(self.optics, self.camera)
+
+    @property
+    def linear(self) -> bool:
+        """True."""
+        return True
 
     def expected(self, x: jax.Array) -> jax.Array:
         """Hx; refuses a complex field before a counting camera."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from ..models.likelihood import IntensityLikelihood, Likelihood, LinearLikelihood
+from ..models.likelihood import IntensityLikelihood, Likelihood
 from ..models.optics import FourierPtychography
 from ..models.realview import from_real, to_real
 from ..problem import Posterior
@@ -95,7 +95,7 @@ def default_start(likelihood: Likelihood, y: ArrayLike) -> jax.Array:
     fits best. Raises ValueError for the rest: an object without phases is no start.
     """
     optics = likelihood.optics
-    if isinstance(likelihood, LinearLikelihood):
+    if likelihood.linear:
         back = optics.adjoint(jnp.asarray(y))
         seen = optics(back)
         energy = jnp.vdot(seen, seen).real

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..models.likelihood import LinearLikelihood
+from ..estimators.quasi_newton import default_start
 from ..models.priors import ScorePrior
 from ..models.priors.learned import LearnedPrior
 from ..problem import Posterior
@@ -61,7 +61,7 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     far off: 12 of 16384 held 76 % of its draws' error at sigma_0 = 0.2.
     """
     prior, steps = posterior.prior, {"steps": 4, "path": path, "descent": 6}
-    if isinstance(posterior.likelihood, LinearLikelihood):
+    if posterior.likelihood.linear:
         return AnnealedLangevin(levels=45, sigma_min=2 * prior.finest, **steps)
     noise = float(posterior.data_level())
     finest = max(0.4 * noise, prior.finest)
@@ -110,8 +110,10 @@ def start_of(
     quasi-Newton, a `measured` stack from halves of itself. "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
-    if isinstance(posterior.likelihood, LinearLikelihood):
-        return np.stack([posterior.y] * chains) if sampler == "annealed-split" else None
+    if posterior.likelihood.linear:
+        if sampler != "annealed-split":
+            return None
+        return np.stack([default_start(posterior.likelihood, posterior.y)] * chains)
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
             return for_ptychography(posterior, key, chains, progress, measured)

@@ -116,6 +116,12 @@ def test_samplers_draw_it(x64, sampler, draws):
     check_moments(found.values, mean, covariance)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_they_are_linear_where_one_is(name):
+    one, _ = CASES[name]
+    assert models.Exposures(one, 2).linear == one.linear == (name not in ("intensity", "8 bits"))
+
+
 def test_optics_are_those_of_one_exposure_as_often(x64):
     optics = models.Exposures(CASES["counts"][0], COUNT).optics
     matrix = jax.vmap(optics, out_axes=-1)(jnp.eye(5)).reshape(-1, 5)

@@ -9,10 +9,17 @@ from analytic import wiener
 from skimage import data
 from skimage.transform import resize
 
-from posterior import presets, starts
+from posterior import models, presets, starts
 from posterior.diagnostics import align
 from posterior.estimators import half_samples
-from posterior.models import FourierPtychography, IntensityLikelihood, Poisson
+from posterior.models import (
+    Exposures,
+    FourierPtychography,
+    Identity,
+    IntensityLikelihood,
+    LinearLikelihood,
+    Poisson,
+)
 from posterior.models.priors import ScorePrior
 from posterior.problem import Problem
 from posterior.samplers import AnnealedLangevin
@@ -73,6 +80,16 @@ def test_samplers_that_need_no_start_get_none():
     asked = question(size=16)
     posterior = asked.problem.condition(asked.y)
     assert presets.start_of("smc", posterior, jax.random.key(0), 2) is None
+
+
+def test_the_split_path_starts_from_the_picture_or_the_mean_of_its_exposures():
+    one, y = LinearLikelihood(Identity((4, 4)), Poisson(100)), np.full((4, 4), 0.25)
+    prior = models.GaussianField.fit([data.camera() / 255], (4, 4))
+    for likelihood, recorded in ((one, y), (Exposures(one, 2), np.stack([y + 0.05, y - 0.05]))):
+        posterior = Problem(likelihood, prior).condition(recorded)
+        found = presets.start_of("annealed-split", posterior, jax.random.key(0), 2)
+        np.testing.assert_allclose(found, [y, y], rtol=1e-6)
+        assert presets.start_of("mala", posterior, jax.random.key(0), 2) is None
 
 
 def test_a_start_has_the_global_phase_of_the_prior():
