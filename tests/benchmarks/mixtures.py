@@ -36,6 +36,7 @@ RUNS = {
     "MALA": (samplers.MALA(), {"chains": 20, "draws": 100, "warmup": 5000, "thin": 270}),
 }
 # As published by Cardoso et al. (2024), recalled and not copied: to be checked before it is cited.
+# Public scripts that evaluate these problems average first-order distances over 100 projections.
 PUBLISHED = {
     "MCGDiff": ((1.43, 0.49, 0.38), (1.39, 0.67, 0.28), (2.40, 1.31, 0.47)),
     "DPS, theirs": ((4.86, 5.79, 3.48), (4.98, 5.10, 4.28), (6.49, 6.88, 5.51)),
