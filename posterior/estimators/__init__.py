@@ -6,3 +6,4 @@ from .half_samples import half_samples
 from .hio import Retrieved, hio
 from .mmse import mmse
 from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior
+from .red import Regularised, red
