@@ -113,7 +113,8 @@ def certify(
 def settings_of(sampler: Sampler | Drawer) -> Settings:
     """Of a run: twenty draws where each is a run of its own, otherwise four chains of a hundred."""
     if isinstance(sampler, RunSampler):
-        return Settings(chains=20, draws=1, warmup=0)
+        # The sampler's own warm-up: without it, a polish would accept nothing.
+        return Settings(chains=20, draws=1)
     return Settings(chains=4, draws=100, warmup=500, thin=5)
 
 

@@ -113,8 +113,17 @@ def test_its_numbers_are_json(table):
 
 
 def test_settings_of_samplers_whose_draws_are_runs():
-    assert settings_of(samplers.AnnealedLangevin()) == Settings(20, 1, 0, 1)
+    assert settings_of(samplers.AnnealedLangevin()) == Settings(20, 1, None, 1)
     assert settings_of(samplers.MALA()).chains == 4
+
+
+@pytest.mark.slow
+def test_a_polish_is_certified_as_it_is_used_tuned():
+    """It mends levels that are far too few; one that is not tuned accepts nothing."""
+    sampler = samplers.AnnealedLangevin(levels=2, steps=1, polish=400)
+    assert certified(sampler, LINEAR, 100).verdict.startswith("passes")
+    untuned = settings_of(sampler)._replace(warmup=0)
+    assert certified(sampler, LINEAR, 100, settings=untuned).verdict.startswith("fails")
 
 
 def test_an_interrupted_certificate_goes_on_and_repeats_nothing(tmp_path, monkeypatch):
