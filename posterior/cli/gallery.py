@@ -1,5 +1,6 @@
 """`posterior gallery`: the references of the problems whose posterior is known, made anew."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -45,6 +46,8 @@ def command(
         z, p = (float("nan"), float("nan")) if kept is None else reference.apart(made, kept)
         if p < _ALPHA / len(names):
             differ.append(f"{name} (p = {p:.2g})")
+            # At once too: a later problem may stop the command.
+            print(f"moments differ from the stored ones: {differ[-1]}", file=sys.stderr, flush=True)
         if out is not None:
             file = out / f"{file_name(name)}.npz"
             replace_whole(file, lambda part, made=made: reference.save(made, part))

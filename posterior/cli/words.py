@@ -96,9 +96,9 @@ def doubts(
     if "dispersion" in results and card is not None:
         said.append(
             "the slow phase of a stack scatters as halves of its images disagree, and is that of "
-            "its start in all draws of a chain: give more --chains, not --draws. On a measured "
-            "stack, draws of two halves of 61 LEDs lay 1.4 times as far apart as they spread: its "
-            "sd is too small by that, or more"
+            "its start in all draws of a chain: more --chains tell more of it, more --draws only "
+            "of the rest. On a measured stack, draws of two halves of 61 LEDs lay 1.4 times as far "
+            "apart as they spread: its sd is too small by that, or more"
         )
     if sampler in _APPROXIMATE:
         said.append(f"{sampler} is approximate: check its intervals against mala or nuts")
