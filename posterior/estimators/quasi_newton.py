@@ -80,7 +80,10 @@ def maximum_posterior(
     As `maximum_likelihood`; the object is of the prior's kind.
     """
     likelihood, y = posterior.likelihood, posterior.y
-    start = default_start(likelihood, y) if start is None else start
+    if start is None:
+        start = default_start(likelihood, y)
+        # H^H y of a real object may be complex.
+        start = start if posterior.prior.complex_valued else start.real
     if jnp.iscomplexobj(start) and not posterior.prior.complex_valued:
         raise ValueError(f"the start is complex ({start.dtype}), but the prior is for real objects")
     start = jnp.asarray(start, posterior.dtype)

@@ -60,7 +60,11 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     channel, other fields at 15 times the noise, for in the lowest frequencies quasi-Newton is that
     far off: 12 of 16384 held 76 % of its draws' error at sigma_0 = 0.2.
     """
-    prior, steps = posterior.prior, {"steps": 4, "path": path, "descent": 6}
+    prior, steps = posterior.prior, {"steps": 4, "path": path}
+    if prior.perturbation == "signal":
+        # A descent is for the gaussian error; the posterior knows the range of this one.
+        return AnnealedLangevin(levels=45, **steps)
+    steps["descent"] = 6
     if posterior.likelihood.linear:
         return AnnealedLangevin(levels=45, sigma_min=2 * prior.finest, **steps)
     noise = float(posterior.data_level())
@@ -113,7 +117,12 @@ def start_of(
     if posterior.likelihood.linear:
         if sampler != "annealed-split":
             return None
-        return np.stack([default_start(posterior.likelihood, posterior.y)] * chains)
+        start = default_start(posterior.likelihood, posterior.y)
+        start = start if posterior.prior.complex_valued else start.real
+        if posterior.positive:
+            # Darkness itself has no score under the signal-dependent error: half an electron has.
+            start = jnp.maximum(start, posterior.likelihood.camera.sigma0**2 / 2)
+        return np.stack([start] * chains)
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
             return for_ptychography(posterior, key, chains, progress, measured)

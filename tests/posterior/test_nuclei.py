@@ -2,7 +2,7 @@
 
 A study: it needs the pictures (POSTERIOR_DATA), BM3D, and an hour. NUCLEI_PATCHES and NUCLEI_DRAWS
 make it smaller; NUCLEI_PART=validation looks at the pictures that settings were chosen on, and not
-at those of the test; NUCLEI_SAMPLERS=thickening,annealed,split-gibbs,dps,kawar makes the table.
+at those of the test; NUCLEI_SAMPLERS, names of `SAMPLERS` with commas between, makes the table.
 """
 
 import os
@@ -30,7 +30,17 @@ pytestmark = [
 PATCHES = int(os.environ.get("NUCLEI_PATCHES", 64))
 DRAWS = int(os.environ.get("NUCLEI_DRAWS", 64))
 PART = os.environ.get("NUCLEI_PART", "test")
-SAMPLERS = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
+ASKED = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
+# Name in the table: name of the sampler, and perturbation of the prior.
+SAMPLERS = {
+    "thickening": ("thickening", "poisson"),
+    "annealed": ("annealed", "gaussian"),
+    "annealed-signal": ("annealed", "signal"),
+    "published-signal": ("annealed-split", "signal"),
+    "split-gibbs": ("split-gibbs", "gaussian"),
+    "dps": ("dps", "gaussian"),
+    "kawar": ("kawar", "gaussian"),
+}
 SIDE, BATCH = 64, 16
 
 
@@ -91,7 +101,7 @@ def drawn(truth, full_well, sampler):
     """Recordings, draws (n, draws, 64, 64), and seconds a draw."""
     camera = models.Poisson(full_well)
     likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
-    perturbation = "poisson" if sampler == "thickening" else "gaussian"
+    sampler, perturbation = SAMPLERS[sampler]
     prior = models.ScorePrior.load("nuclei", (SIDE, SIDE), perturbation)
     problem = ps.Problem(likelihood, prior)
     y = np.stack([camera.sample(jax.random.key(i), jnp.asarray(x)) for i, x in enumerate(truth)])
@@ -101,6 +111,7 @@ def drawn(truth, full_well, sampler):
         posterior = problem.condition(recording)
         build = presets.SAMPLERS[sampler].build
         key, settings = jax.random.key(1000 + i), {"chains": chains, "draws": DRAWS // chains}
+        settings["start"] = presets.start_of(sampler, posterior, key, chains)
         run = ps.sample(posterior, build(posterior), key, progress=False, **settings)
         found.append(run.values.reshape(-1, SIDE, SIDE))
     seconds = (time.perf_counter() - began) / (len(y) * len(found[0]))
@@ -118,7 +129,7 @@ def summaries(images):
 
 
 @pytest.mark.parametrize("full_well", [100, 25])
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", ASKED)
 def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
     """Every sampler is measured; thickening, the default, must be calibrated."""
     bm3d = pytest.importorskip("bm3d").bm3d

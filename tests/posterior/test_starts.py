@@ -11,7 +11,7 @@ from skimage.transform import resize
 
 from posterior import models, presets, starts
 from posterior.diagnostics import align
-from posterior.estimators import half_samples
+from posterior.estimators import half_samples, maximum_posterior
 from posterior.models import (
     Exposures,
     FourierPtychography,
@@ -23,6 +23,7 @@ from posterior.models import (
 from posterior.models.priors import ScorePrior
 from posterior.problem import Problem
 from posterior.samplers import AnnealedLangevin
+from posterior.sampling import NonFiniteError, sample
 
 SCOUT = {"levels": 60, "steps": 3}
 
@@ -90,6 +91,41 @@ def test_the_split_path_starts_from_the_picture_or_the_mean_of_its_exposures():
         found = presets.start_of("annealed-split", posterior, jax.random.key(0), 2)
         np.testing.assert_allclose(found, [y, y], rtol=1e-6)
         assert presets.start_of("mala", posterior, jax.random.key(0), 2) is None
+
+
+def test_a_real_object_behind_complex_optics_starts_real():
+    optics = models.Matrix(np.exp(1j * np.arange(24).reshape(6, 4)))
+    prior = models.GaussianField.fit([data.camera() / 255], (4,))
+    problem = Problem(LinearLikelihood(optics, models.Gaussian(0.1)), prior)
+    posterior = problem.condition(problem.simulate(jax.random.key(0))[1])
+    assert not np.iscomplexobj(presets.start_of("annealed-split", posterior, jax.random.key(0), 2))
+    assert not np.iscomplexobj(maximum_posterior(posterior).object)
+
+
+def test_under_the_signal_error_no_pixel_starts_in_darkness_and_the_paths_run():
+    """The score of x + sqrt(x) e is infinite at 0, where counts put many a start."""
+    prior = models.PixelPrior.gamma(3.0, 20.0, (16,))
+    problem = Problem(LinearLikelihood(Identity((16,)), Poisson(8)), prior)
+    y = problem.simulate(jax.random.key(0))[1]
+    assert np.sum(np.asarray(y) == 0) > 2
+    posterior = problem.condition(y)
+    start = presets.start_of("annealed-split", posterior, jax.random.key(0), 2)
+    np.testing.assert_allclose(start, np.stack([np.maximum(y, 1 / 16)] * 2))
+    sampler = AnnealedLangevin(path="split", levels=20, steps=2)
+    run = sample(posterior, sampler, jax.random.key(0), chains=2, start=start, progress=False)
+    assert np.all(np.isfinite(run.values))
+    with pytest.raises(NonFiniteError):
+        sample(posterior, sampler, jax.random.key(0), chains=1, start=y[None], progress=False)
+
+
+def test_learned_priors_of_the_signal_error_are_annealed_without_a_descent():
+    """Which is for the gaussian error: the preset must build what the sampler takes."""
+    prior = ScorePrior.load("nuclei", (16, 16), "signal")
+    problem = Problem(LinearLikelihood(Identity((16, 16)), Poisson(100)), prior)
+    posterior = problem.condition(np.full((16, 16), 0.25))
+    sampler = presets.SAMPLERS["annealed"].build(posterior)
+    sampler.init(jax.random.key(0), posterior)
+    assert sampler.descent == 0
 
 
 def test_a_start_has_the_global_phase_of_the_prior():
