@@ -17,7 +17,7 @@ _FEW = 100
 _TOO_NARROW = 0.85
 _FAINT = 0.4  # of full well
 _UNEXPLAINED = 1.5
-_APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "dps", "kawar")
+_APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "daps", "dps", "kawar")
 
 
 def findings(results: dict[str, float]) -> list[str]:

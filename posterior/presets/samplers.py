@@ -14,6 +14,7 @@ from ..models.priors import ScorePrior
 from ..models.priors.learned import LearnedPrior
 from ..problem import Posterior
 from ..samplers import (
+    DAPS,
     DPS,
     MALA,
     ULA,
@@ -88,6 +89,7 @@ SAMPLERS = {
     "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, needs="score"),
     "ula": Sampling(_ula, 500, 10, needs="score"),
     "split-gibbs": Sampling(lambda _: SplitGibbs(), 25, 1, needs="score"),
+    "daps": Sampling(lambda _: DAPS(), 25, 1, needs="score"),
     "dps": Sampling(lambda _: DPS(), 25, 1, needs="score"),
     "kawar": Sampling(lambda _: Kawar(), 25, 1, needs="score"),
     "thickening": Sampling(lambda _: Thickening(), 25, 1, needs="counts"),

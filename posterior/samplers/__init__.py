@@ -3,6 +3,7 @@
 from .annealed import AnnealedLangevin
 from .base import Sampler
 from .blackjax import BlackJAX
+from .daps import DAPS
 from .dps import DPS
 from .ensemble import Ensemble
 from .kawar import Kawar

@@ -6,21 +6,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..models.annealing import component_sd
-from ..models.optics import Identity
 from ..models.priors.base import Prior
-from ..models.realview import normal_like, real_score, real_size
 from ..problem import Posterior
 from .base import RunSampler
 from .checks import check_at_least, check_gaussian, check_levels
+from .coupled import coupled_moves
 from .reverse import reverse_diffusion
 
 # Finest coupling, as a fraction of the smallest measurement noise.
 _FINEST_COUPLING = 0.3
 # The last part of the iterations, all at the finest coupling.
 _HELD = 0.25
-# Longest drift of a proposal, in standard deviations of its noise.
-_LONGEST_DRIFT = 2.0
 
 
 class SplitGibbsState(NamedTuple):
@@ -124,7 +120,9 @@ class SplitGibbs(RunSampler):
             lambda: (state.position, state.auxiliary),
         )
         rho, posterior = state.sigmas[state.index], state.posterior
-        u, acceptance = self._auxiliary_given(key_likelihood, posterior, u, x, rho)
+        u, acceptance = coupled_moves(
+            key_likelihood, posterior, u, x, rho, self.moves, self.step_size
+        )
         x = self._object_given(key_prior, posterior.prior, u, rho)
         index = (state.index + 1) % self.iterations
         state = state._replace(position=x, auxiliary=u, index=index)
@@ -144,66 +142,8 @@ class SplitGibbs(RunSampler):
         x = self.restarted(key, state)
         return x, state.posterior.likelihood.feasible(x)
 
-    def _auxiliary_given(
-        self, key: jax.Array, posterior: Posterior, u: jax.Array, x: jax.Array, rho: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """u after `moves` MALA steps on p(y | u) N(u; x, rho^2), and their acceptance."""
-        likelihood, y = posterior.likelihood, posterior.y
-        complex_object = jnp.iscomplexobj(x)
-        variance = component_sd(rho, complex_object) ** 2
-        pixelwise = isinstance(likelihood.optics, Identity)
-        # One log-density a pixel where the pixels are independent, one in all otherwise.
-        gather = (lambda a: a) if pixelwise else jnp.sum
-        curvature = likelihood.curvature(complex_object, y, 0.0, "convolved")
-        h = self.step_size / (1 / variance + curvature)
-        if not pixelwise:
-            h = h * real_size(x.shape, x.dtype) ** (-1 / 3)
-        h = h.astype(variance.dtype)
-
-        def evaluate(u: jax.Array) -> tuple[jax.Array, jax.Array]:
-            def log_prob(u: jax.Array) -> tuple[jax.Array, jax.Array]:
-                recorded = likelihood.camera.log_prob(y, likelihood.expected(u))
-                coupled = _square(u - x) / (2 * variance)
-                values = gather(recorded) - gather(coupled)
-                return jnp.sum(values), values
-
-            (_, values), gradient = jax.value_and_grad(log_prob, has_aux=True)(u)
-            return values, _drift(real_score(gradient), h)
-
-        def move(carry: tuple, key: jax.Array) -> tuple[tuple, jax.Array]:
-            u, value, drift = carry
-            key_noise, key_accept = jax.random.split(key)
-            noise = normal_like(key_noise, u)
-            proposed = u + (drift + jnp.sqrt(2 * h) * noise).astype(u.dtype)
-            new_value, new_drift = evaluate(proposed)
-            back = (u - proposed - new_drift) / jnp.sqrt(2 * h)
-            log_ratio = new_value - value + gather(_square(noise) - _square(back)) / 2
-            # A NaN ratio (a proposal where the density is undefined) is a rejection.
-            rate = jnp.where(jnp.isnan(log_ratio), 0.0, jnp.exp(jnp.minimum(log_ratio, 0.0)))
-            accepted = jax.random.uniform(key_accept, rate.shape, rate.dtype) < rate
-            new = (proposed, new_value, new_drift)
-            carry = tuple(jnp.where(accepted, a, b) for a, b in zip(new, carry))
-            return carry, jnp.mean(rate)
-
-        keys = jax.random.split(key, self.moves)
-        (u, _, _), rates = jax.lax.scan(move, (u, *evaluate(u)), keys)
-        return u, jnp.mean(rates)
-
     def _object_given(
         self, key: jax.Array, prior: Prior, u: jax.Array, rho: jax.Array
     ) -> jax.Array:
         """A draw of p(x) N(x; u, rho^2): reverse diffusion from u at level rho to level 0."""
         return reverse_diffusion(key, prior, u, rho, self.prior_steps)
-
-
-def _drift(score: jax.Array, h: jax.Array) -> jax.Array:
-    """h score, cut at a few standard deviations of the noise (Roberts and Tweedie 1996).
-
-    Photon counts have a score without bound in the dark, where uncut proposals are all refused.
-    """
-    drift = h * score
-    return drift / jnp.maximum(1.0, jnp.abs(drift) / (_LONGEST_DRIFT * jnp.sqrt(2 * h)))
-
-
-def _square(x: jax.Array) -> jax.Array:
-    return jnp.square(x.real) + jnp.square(x.imag) if jnp.iscomplexobj(x) else jnp.square(x)
