@@ -173,13 +173,16 @@ class AnnealedLangevin(RunSampler):
         )
         sigma = state.sigmas[jnp.minimum(state.index // self.steps, self.levels - 1)]
         posterior = state.posterior
+        if posterior.positive:
+            # Where the score is still finite: it grows like 1/x^2.
+            x = jnp.maximum(x, jnp.finfo(x.dtype).eps ** 2)
         score = posterior.annealed_score(x, sigma, self.path, self.published)
         step = self.step_size * posterior.annealing_variance(sigma, self.path)
         fresh = normal_like(key_step, x)
         shaken = jnp.sqrt(2 * step) * (fresh if self.published else (noise + fresh) / 2)
         if posterior.positive:
             root = jnp.sqrt(x)
-            root = root + _drift_of_root(root, score, step) + shaken
+            root = root + _drift_of_root(root, score, step, self.path) + shaken
             x, fresh = jnp.square(root), jnp.where(root < 0, -fresh, fresh)
         else:
             x = x + (step * score + shaken).astype(x.dtype)
@@ -223,15 +226,18 @@ class AnnealedLangevin(RunSampler):
         )
 
 
-def _drift_of_root(root: jax.Array, score: jax.Array, step: jax.Array) -> jax.Array:
+def _drift_of_root(root: jax.Array, score: jax.Array, step: jax.Array, path: str) -> jax.Array:
     """Step times the score of u = sqrt(x), whose density is 2 u p(u^2).
 
-    Near zero it grows like c/u, and a plain step of it overshoots without bound. Followed exactly
-    it would carry a pixel from zero to sqrt(2 step c) and no further; that bounds it.
+    Near zero it grows like c/u ("convolved": counts, and the prior) or c/u^3 ("split": a normal
+    likelihood whose variance is that of the light), and a plain step of it overshoots without
+    bound. Followed exactly, c/u^p carries a pixel from zero to ((p + 1) step c)^(1/(p + 1)) and no
+    further; that bounds it.
     """
-    root = jnp.maximum(root, jnp.finfo(root.dtype).tiny ** 0.25)
     drift = step * (2 * root * score + 1 / root)
-    return jnp.where(drift > 2 * root, jnp.sqrt(2 * root * jnp.maximum(drift, 0.0)), drift)
+    power = {"convolved": 1, "split": 3}[path]
+    from_zero = ((power + 1) * jnp.maximum(drift / root, 0.0)) ** (1 / (power + 1)) * root
+    return jnp.where(from_zero > (power + 1) ** (1 / power) * root, from_zero, drift)
 
 
 def _without_shared(state: MALAState) -> MALAState:

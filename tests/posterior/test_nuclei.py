@@ -36,8 +36,9 @@ SAMPLERS = {
     "thickening": ("thickening", "poisson"),
     "annealed": ("annealed", "gaussian"),
     "annealed-signal": ("annealed", "signal"),
-    "published-signal": ("annealed-split", "signal"),
+    "split-signal": ("annealed-split", "signal"),
     "split-gibbs": ("split-gibbs", "gaussian"),
+    "daps": ("daps", "gaussian"),
     "dps": ("dps", "gaussian"),
     "kawar": ("kawar", "gaussian"),
 }
