@@ -1,4 +1,5 @@
-"""The command line: `posterior sample`, `repeat`, `train`, `certify`, `gallery`, `demo`.
+"""The command line: `posterior sample`, `repeat`, `train`, `certify`, `study`, `gallery`,
+`demo`.
 
 A command is a file of this folder with a function `command`, and one line below. The command line
 is the front door: it alone may look into every room.
@@ -10,7 +11,7 @@ from collections.abc import Sequence
 import typer
 
 from ..sampling import NonFiniteError
-from . import certify, demo, gallery, repeat, sample, train
+from . import certify, demo, gallery, repeat, sample, study, train
 
 _REFUSED = (ValueError, NonFiniteError, OSError)
 
@@ -24,6 +25,7 @@ app.command("sample")(sample.command)
 app.command("repeat")(repeat.command)
 app.command("train")(train.command)
 app.command("certify")(certify.command)
+app.command("study")(study.command)
 app.command("gallery")(gallery.command)
 app.command("demo")(demo.command)
 

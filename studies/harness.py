@@ -1,0 +1,120 @@
+"""Every system answers every recording once: stored, resumed, and timed in a process of its own."""
+
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..diagnostics.shards import Shards
+from ..sampling import NonFiniteError
+
+
+class Answer(NamedTuple):
+    """What a system said of n recordings: images (n, draws, *shape), one draw of an estimate.
+
+    `seconds`: of each recording (n,); the first one compiles. `memory`: bytes, the largest that its
+    process held. `refusal`: why it does not apply ("" if it does); the rest is empty then.
+    """
+
+    images: np.ndarray
+    seconds: np.ndarray
+    memory: int
+    refusal: str = ""
+
+
+def measure(
+    folder: str | os.PathLike,
+    identity: dict[str, object],
+    systems: list[str],
+    conditions: list[str],
+    count: int,
+    work: Callable[[str, str, int], np.ndarray],
+) -> Iterator[tuple[str, str, int, Answer | None]]:
+    """Yields (system, condition, answers so far, Answer when all `count` are there).
+
+    `work(system, condition, index)` returns images (draws, *shape); it is called in a fresh process
+    for each system and condition, and must be picklable. A ValueError of it is the system's
+    refusal, as is an answer that is infinite or NaN. Every answer is one file of `folder`, which a
+    run that was stopped goes on from, and `identity` says what the answers depend on: a folder of
+    another identity raises ValueError.
+    """
+    owner = json.dumps(identity, sort_keys=True)
+    for condition in conditions:
+        for system in systems:
+            shards = Shards(Path(folder) / f"{condition}-{system}", f"{owner} {system} {condition}")
+            for done in _completed(shards, system, condition, count, work):
+                yield system, condition, done, None
+            yield system, condition, count, _gathered(shards.found(count))
+
+
+def _completed(
+    shards: Shards,
+    system: str,
+    condition: str,
+    count: int,
+    work: Callable[[str, str, int], np.ndarray],
+) -> Iterator[int]:
+    """Number of answers there, after each; missing ones are computed meanwhile."""
+    found = shards.found(count)
+    missing = [i for i in range(count) if i not in found]
+    if not missing or any("refusal" in shard for shard in found.values()):
+        return
+    # A process forked from one that runs JAX may hang.
+    fresh = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=fresh) as pool:
+        for i in missing:
+            try:
+                shard = pool.submit(_timed, work, system, condition, i).result()
+            except BrokenProcessPool as error:
+                raise RuntimeError(
+                    f"the process of {system} at {condition} ended: out of memory, or killed; what "
+                    "was done is kept, the same command goes on"
+                ) from error
+            shards.put(i, shard)
+            yield len(shards.found(count))
+            if "refusal" in shard:
+                return
+
+
+def _timed(
+    work: Callable[[str, str, int], np.ndarray], system: str, condition: str, index: int
+) -> dict[str, np.ndarray]:
+    began = time.perf_counter()
+    try:
+        images = np.asarray(work(system, condition, index))
+    except (ValueError, NonFiniteError) as error:
+        return {"refusal": np.asarray(f"recording {index}: {error}")}
+    if not np.all(np.isfinite(images)):
+        return {"refusal": np.asarray(f"recording {index}: the answer is not finite")}
+    seconds = time.perf_counter() - began
+    return {"images": images, "seconds": np.asarray(seconds), "memory": np.asarray(_peak_memory())}
+
+
+def _peak_memory() -> int:
+    """Bytes that this process held at most; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _gathered(found: dict[int, dict[str, np.ndarray]]) -> Answer:
+    shards = [found[i] for i in sorted(found)]
+    for shard in shards:
+        if "refusal" in shard:
+            return Answer(np.empty(0), np.empty(0), 0, str(shard["refusal"]))
+    return Answer(
+        np.stack([shard["images"] for shard in shards]),
+        np.array([float(shard["seconds"]) for shard in shards]),
+        max(int(shard["memory"]) for shard in shards),
+    )

@@ -1,0 +1,130 @@
+"""What the answers are worth: a table for each condition, and the first picture as each sees it."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..diagnostics.coverage import coverage
+from ..diagnostics.fidelity import crps, psnr, ssim
+from ..diagnostics.spread import spread_over_error
+from .denoising import SYSTEMS
+from .harness import Answer
+
+LEVELS = (0.5, 0.9)
+_BLOCK = 8
+_HEAD = (
+    "system", "mean, dB", "paper, dB", "a draw, dB", "SSIM", "CRPS x 1000",
+    "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error", "s", "MB",
+)  # fmt: skip
+# The paper's Table 1 has these noise levels.
+_PUBLISHED_AT = (0.025, 0.05, 0.1, 0.2)
+
+
+def judged(answer: Answer, truths: np.ndarray) -> dict[str, float | tuple[float, ...]]:
+    """Figures of an answer against truths (n, h, w), n >= 2; the image is the unit of every error.
+
+    Fidelity of the mean of the draws, and of draws by themselves; for those that sample the share
+    of truths inside the central intervals of LEVELS with its standard error, by randomised ranks,
+    and the spread of the draws over the error of their mean (1 is right). `seconds`: the median, so
+    that the first recording, which compiles, does not count.
+    """
+    draws = answer.images
+    means = draws.mean(axis=1)
+    quality = np.array([psnr(mean, truth) for mean, truth in zip(means, truths)])
+    found = {
+        "psnr": float(quality.mean()),
+        "psnr error": float(quality.std(ddof=1) / np.sqrt(len(quality))),
+        "ssim": float(np.mean([ssim(mean, truth) for mean, truth in zip(means, truths)])),
+        "seconds": float(np.median(answer.seconds)) / draws.shape[1],
+        "memory": answer.memory / 1e6,
+    }
+    if draws.shape[1] < 2:
+        return found
+    rng = np.random.default_rng(0)
+    asked = {"pixels": _same, "blocks": block_means, "image mean": _image_mean}
+    for name, f in asked.items():
+        shares = [coverage(f(draws), f(truths), level, rng) for level in LEVELS]
+        found[name] = tuple(value for share in shares for value in (share.share, share.error))
+    found["draw psnr"] = float(np.mean([psnr(x[0], truth) for x, truth in zip(draws, truths)]))
+    found["crps"] = float(np.mean([crps(x, truth).mean() for x, truth in zip(draws, truths)]))
+    found["spread"] = spread_over_error(draws, truths)
+    return found
+
+
+def block_means(images: np.ndarray) -> np.ndarray:
+    """Means (..., h // 8, w // 8) of whole 8x8 blocks of images (..., h, w)."""
+    h, w = (n // _BLOCK for n in images.shape[-2:])
+    whole = images[..., : h * _BLOCK, : w * _BLOCK]
+    return whole.reshape(*images.shape[:-2], h, _BLOCK, w, _BLOCK).mean((-3, -1))
+
+
+def _same(images: np.ndarray) -> np.ndarray:
+    return images
+
+
+def _image_mean(images: np.ndarray) -> np.ndarray:
+    return images.mean((-2, -1))
+
+
+def as_table(condition: str, answers: dict[str, Answer], truths: np.ndarray) -> str:
+    """Markdown: a row for each system that answered `condition`, and why others did not."""
+    lines = [
+        f"## sigma_0 = {condition}",
+        "",
+        "| " + " | ".join(_HEAD) + " |",
+        "|" + "---|" * len(_HEAD),
+    ]
+    refused = []
+    for system, answer in answers.items():
+        if answer.refusal:
+            refused.append(f"- {system}: no answer to {' '.join(answer.refusal.split())}")
+        else:
+            row = _row(system, condition, judged(answer, truths))
+            lines.append("| " + " | ".join(row) + " |")
+    return "\n".join([*lines, "", *refused, *([""] if refused else [])])
+
+
+def _row(system: str, condition: str, found: dict) -> list[str]:
+    published = dict(zip(_PUBLISHED_AT, SYSTEMS[system].published)).get(float(condition))
+    row = [
+        system,
+        f"{found['psnr']:.2f} ± {found['psnr error']:.2f}",
+        "" if published is None else f"{published}",
+    ]
+    if "spread" not in found:
+        row += ["", f"{found['ssim']:.3f}", *[""] * 5]
+    else:
+        row += [f"{found['draw psnr']:.2f}", f"{found['ssim']:.3f}", f"{1000 * found['crps']:.1f}"]
+        row += [_shares(found[name]) for name in ("pixels", "blocks", "image mean")]
+        row += [f"{found['spread']:.2f}"]
+    return [*row, f"{found['seconds']:.2g}", f"{found['memory']:.0f}"]
+
+
+def _shares(found: tuple[float, ...]) -> str:
+    half, _, most, error = found
+    return f"{100 * half:.0f} / {100 * most:.0f} ± {100 * error:.0f}"
+
+
+def picture(answers: dict[str, dict[str, Answer]], truths: np.ndarray) -> Figure:
+    """The first truth, and the mean of each system's answer to it: a row for each condition."""
+    names = list(dict.fromkeys(name for found in answers.values() for name in found))
+    size = (1.5 * (len(names) + 1), 1.75 * len(answers))
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(len(answers), len(names) + 1, squeeze=False)
+    for row, (condition, found) in zip(axes, answers.items()):
+        row[0].set_ylabel(f"sigma_0 = {condition}", fontsize=8)
+        _show(row[0], truths[0], "truth")
+        for axis, name in zip(row[1:], names):
+            answer = found.get(name)
+            if answer is None or answer.refusal:
+                axis.set_axis_off()
+                continue
+            mean = answer.images[0].mean(axis=0)
+            _show(axis, mean, f"{name}\n{psnr(mean, truths[0]):.1f} dB")
+    return figure
+
+
+def _show(axis, image: np.ndarray, title: str) -> None:  # noqa: ANN001
+    axis.imshow(image, cmap="gray", vmin=0, vmax=1)
+    axis.set_title(title, fontsize=7)
+    axis.set_xticks([])
+    axis.set_yticks([])

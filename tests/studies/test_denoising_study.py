@@ -1,0 +1,179 @@
+"""The denoising study: recordings, figures that are known, the table, and the command."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from posterior import models
+from posterior.cli import main
+from posterior.diagnostics.fidelity import psnr
+from posterior.models.priors.storage import card_of
+from posterior.studies import SYSTEMS, Answer, Denoising, as_table, held_out, judged
+from posterior.studies.denoising import electrons
+
+SIDE = 16
+
+
+@pytest.fixture(scope="module")
+def truths():
+    rows, columns = np.mgrid[:SIDE, :SIDE] / SIDE
+    blob = np.exp(-((rows - 0.5) ** 2 + (columns - 0.4) ** 2) / 0.05)
+    return np.stack([0.1 + 0.8 * blob, 0.1 + 0.6 * blob.T]).astype(np.float32)
+
+
+def study(truths, bits=8):
+    return Denoising(truths, "nuclei", bits, draws=3, seed=0)
+
+
+def test_every_system_sees_the_same_recording(truths):
+    """Counts of 1/sigma_0^2 electrons behind the ADC; another recording for another picture."""
+    recording = study(truths).recording("0.1", 1)
+    assert recording.camera == models.Poisson(100, 8)
+    np.testing.assert_array_equal(study(truths).recording("0.1", 1).y, recording.y)
+    key = recording.key
+    assert not np.array_equal(key, study(truths).recording("0.1", 0).key)
+    sd = np.sqrt(truths[1] * 0.1**2)
+    assert 0.8 < np.std((recording.y - truths[1]) / sd) < 1.2
+    np.testing.assert_array_equal(study(truths)("recording", "0.1", 1), recording.y[None])
+
+
+def test_the_counts_network_answers_in_one_evaluation(truths):
+    work = study(truths, bits=None)
+    y = work.recording("0.1", 0).y
+    prior = models.ScorePrior.load("nuclei", y.shape, "poisson")
+    direct = prior.denoise(y, 0.1)
+    np.testing.assert_allclose(work("MMSE", "0.1", 0)[0], direct, atol=2e-5)
+
+
+def systems():
+    quick = ("recording", "MMSE", "RED", "thickening")
+    return [
+        pytest.param(name, marks=[] if name in quick else [pytest.mark.slow]) for name in SYSTEMS
+    ]
+
+
+@pytest.mark.parametrize("name", systems())
+def test_every_system_comes_closer_to_the_truth_than_the_recording(truths, name):
+    """The mean of its draws does."""
+    if "BM3D" in name:
+        pytest.importorskip("bm3d")
+    work = study(truths)
+    images = work(name, "0.2", 0)
+    assert images.shape == (3 if SYSTEMS[name].samples else 1, SIDE, SIDE)
+    assert np.all(np.isfinite(images))
+    recorded = psnr(work("recording", "0.2", 0)[0], truths[0])
+    if name != "DPS":  # which may take a picture like no nucleus for an empty field
+        assert psnr(images.mean(axis=0), truths[0]) >= recorded
+
+
+def answer_of(rng, truths, spread=1.0, draws=20, sd=0.1):
+    """Draws of exact posteriors about the means, `spread` times too wide."""
+    means = truths + sd * rng.standard_normal(truths.shape)
+    noise = sd * spread * rng.standard_normal((len(truths), draws, *truths.shape[1:]))
+    return Answer(means[:, None] + noise, np.array([50.0, *[2.0] * (len(truths) - 1)]), 3 * 10**8)
+
+
+@pytest.mark.parametrize("spread, right", [(1.0, True), (0.6, False)])
+def test_figures_of_normal_posteriors(spread, right):
+    """PSNR of a mean with error sd^2 (1 + spread^2/20) and of a draw, coverage, CRPS, medians."""
+    rng = np.random.default_rng(0)
+    truths = rng.uniform(size=(60, SIDE, SIDE))
+    found = judged(answer_of(rng, truths, spread), truths)
+    pixels = truths.size
+
+    def near(name, mean_square):
+        # The logarithm of a mean of `pixels` squares of normal errors.
+        error = 10 / np.log(10) * np.sqrt(2 / pixels)
+        assert abs(found[name] + 10 * np.log10(mean_square)) < 5 * error + 0.01, name
+
+    near("psnr", 0.01 * (1 + spread**2 / 20))
+    near("draw psnr", 0.01 * (1 + spread**2))
+    assert abs(found["spread"] / spread - 1) < 0.03
+    shares = np.array([found[name] for name in ("pixels", "blocks", "image mean")])
+    off = np.abs(shares[:, [0, 2]] - [0.5, 0.9]) / shares[:, [1, 3]]
+    assert (off.max() < 4) == right, shares
+    assert found["seconds"] == 0.1 and found["memory"] == 300
+    # Of a normal forecast s wide whose centre errs by sd: Gneiting and Raftery (2007), averaged.
+    s = spread
+    exact = 0.1 * (np.sqrt(2 * (1 + s**2) / np.pi) - s / np.sqrt(np.pi))
+    assert abs(found["crps"] / exact - 1) < 0.02
+
+
+def test_the_table_has_the_papers_figures_and_says_who_did_not_answer(truths):
+    rng = np.random.default_rng(0)
+    answers = {
+        "MMSE": answer_of(rng, truths, draws=1),
+        "annealed, printed": answer_of(rng, truths),
+        "VST + BM3D": Answer(np.empty(0), np.empty(0), 0, "recording 0: BM3D is not installed"),
+    }
+    table = as_table("0.1", answers, truths)
+    assert "| 34.5 |" in table and "| 32.8 |" in table
+    assert "- VST + BM3D: no answer to recording 0: BM3D is not installed" in table
+    assert "| 30.9 |" in as_table("0.20", answers, truths)
+    assert "| 34.5 |" not in as_table("0.15", answers, truths)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Pictures under the names that the card of `nuclei` holds out."""
+    rng = np.random.default_rng(0)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for name in card_of("nuclei")["data"]["test"][:3]:
+        picture = np.kron(rng.integers(0, 255, (6, 8)), np.ones((4, 4))).astype(np.uint8)
+        Image.fromarray(picture).save(pictures / name)
+    return pictures
+
+
+def test_patches_are_those_of_the_card_and_the_same_each_time(folder):
+    found = held_out(card_of("nuclei"), folder, "test", 3, SIDE)
+    assert found.shape == (3, SIDE, SIDE) and found.dtype == np.float32
+    assert found.min() >= 0 and found.max() == 1
+    np.testing.assert_array_equal(found[:2], held_out(card_of("nuclei"), folder, "test", 2, SIDE))
+    with pytest.raises(ValueError, match=r"\(24, 32\): smaller than 25 x 25"):
+        held_out(card_of("nuclei"), folder, "test", 3, 25)
+    with pytest.raises(ValueError, match="lists 96 test pictures, not 97"):
+        held_out(card_of("nuclei"), folder, "test", 97, SIDE)
+
+
+def run(folder, out, *options):
+    arguments = ["study", "denoising", "--data", str(folder), "--out", str(out), "--quiet"]
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments, "--pictures", "2", "--size", str(SIDE), "--draws", "2", *options])
+    return stopped.value.code
+
+
+def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
+    options = ("--system", "recording", "--system", "RED", "--sigma", "0.1")
+    assert not run(folder, tmp_path / "out", *options)
+    table = (tmp_path / "out" / "study.md").read_text()
+    assert capsys.readouterr().out == table
+    assert "| RED |" in table and "## sigma_0 = 0.1" in table
+    with Image.open(tmp_path / "out" / "study.png") as picture:
+        assert picture.size[0] > 300
+    assert run(folder, tmp_path / "out", *options, "--seed", "1") == 2
+    assert "is of another campaign" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (("--system", "magic"), "unknown system 'magic'"),
+        (("--sigma", "2"), "sigma_0 2"),
+        (("--sigma", "dark"), "sigma_0 dark"),
+        (("--pictures", "1"), "--pictures 1"),
+        (("--part", "train"), "--part train"),
+        (("--prior", "nowhere"), "nowhere"),
+        (("--pictures", "4"), "no file"),
+        (("--bits", "17"), "17"),
+    ],
+)
+def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
+    assert run(folder, tmp_path / "out", *options) == 2
+    said = capsys.readouterr().err
+    assert words in said and len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_noise_levels_are_of_whole_electrons():
+    assert [electrons(c) for c in ("0.025", "0.05", "0.1", "0.2")] == [1600, 400, 100, 25]
