@@ -17,7 +17,9 @@ _FEW = 100
 _TOO_NARROW = 0.85
 _FAINT = 0.4  # of full well
 _UNEXPLAINED = 1.5
-_APPROXIMATE = ("annealed", "annealed-split", "ula", "split-gibbs", "daps", "dps", "kawar")
+_APPROXIMATE = (
+    "annealed", "annealed-split", "ula", "split-gibbs", "daps", "dps", "kawar", "snips",
+)  # fmt: skip
 
 
 def findings(results: dict[str, float]) -> list[str]:

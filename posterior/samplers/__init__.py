@@ -9,6 +9,7 @@ from .ensemble import Ensemble
 from .kawar import Kawar
 from .mala import MALA
 from .smc import TemperedSMC
+from .snips import SNIPS
 from .split_gibbs import SplitGibbs
 from .thickening import Thickening
 from .ula import ULA

@@ -20,6 +20,7 @@ SAMPLERS = {
     "daps": samplers.DAPS(levels=4, flow_steps=2, moves=2),
     "dps": samplers.DPS(levels=4),
     "kawar": samplers.Kawar(levels=4, steps=3),
+    "snips": samplers.SNIPS(levels=4, steps=3),
     "thickening": samplers.Thickening(levels=4),
     "ula": samplers.ULA(1e-4),
     "mala": samplers.MALA(0.01),
@@ -34,7 +35,7 @@ SAMPLERS = {
 def posterior_of(dtype, sampler):
     if isinstance(sampler, samplers.Thickening):
         return counted()
-    denoising = isinstance(sampler, samplers.Kawar)
+    denoising = isinstance(sampler, (samplers.Kawar, samplers.SNIPS))
     n = 6 if dtype is complex else 3
     means = np.random.default_rng(0).standard_normal((2, n)) / 4 + 0.5
     prior = models.GaussianMixture([0.6, 0.4], means, [0.04 * np.eye(n)] * 2, (3,), dtype)
@@ -85,6 +86,7 @@ FAST = {
     "daps": (),
     "dps": (),
     "kawar": (),
+    "snips": ("float64-real",),
     "thickening": (),
 }
 

@@ -1,4 +1,4 @@
-"""Split Gibbs, DAPS, DPS and the stochastic denoiser, against posteriors that are known."""
+"""Split Gibbs, DAPS, DPS, SNIPS and the stochastic denoiser, against posteriors that are known."""
 
 import equinox as eqx
 import jax
@@ -289,6 +289,63 @@ def test_the_stochastic_denoiser_takes_photon_noise_for_white(x64):
     np.testing.assert_allclose(state.noise_level, 0.2, rtol=1e-6)
 
 
+# ---- SNIPS --------------------------------------------------------------------------------------
+
+
+def of_gains(gains, dtype=float):
+    """A Posterior with those singular values, exact mean and covariance: noise of 0.1."""
+    size, complex_object = len(gains), dtype is complex
+    rng = np.random.default_rng(3)
+
+    def rotation():
+        square = rng.standard_normal((size, size)) + 1j * rng.standard_normal((size, size))
+        return np.linalg.qr(square if complex_object else square.real)[0]
+
+    matrix = (rotation() * gains) @ rotation()
+    prior = denoising(dtype, size=size).prior
+    problem = ps.Problem(
+        models.LinearLikelihood(models.Matrix(matrix), models.Gaussian(0.1)), prior
+    )
+    post = problem.condition(problem.simulate(jax.random.key(0))[1])
+    return post, *broadened(post, 0.0)
+
+
+@pytest.mark.parametrize(
+    "gains, dtype",
+    [
+        ([3.0, 1.0, 0.3, 0.1, 0.0], float),
+        pytest.param([3.0, 1.0, 0.3, 0.1, 0.0], complex, marks=pytest.mark.slow),
+    ],
+)
+def test_snips_draws_a_linear_gaussian_posterior(x64, gains, dtype):
+    """Gains on both sides of the noise, and one of nothing, whose component is the prior's."""
+    post, mean, covariance = of_gains(gains, dtype)
+    values = draw(post, samplers.SNIPS(), 3000)
+    check_law(values, mean, covariance)
+    with pytest.raises(AssertionError):
+        check_law(values, mean, np.asarray(post.prior.covariance))
+    with pytest.raises(AssertionError):
+        check_law(values, mean, 1.1 * covariance)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [3, 9])
+def test_snips_takes_fewer_rows_and_more(x64, rows):
+    post, mean, covariance = linear_gaussian(6, rows, float, noise=0.1)
+    check_law(draw(post, samplers.SNIPS(), 3000), mean, covariance)
+
+
+def test_snips_refuses_what_is_not_linear_and_gaussian():
+    poisson = models.LinearLikelihood(models.Identity((3,)), models.Poisson(50))
+    post = ps.Problem(poisson, models.GaussianPrior(0.5, 0.04, (3,))).condition(np.full(3, 0.5))
+    with pytest.raises(ValueError, match="a Poisson camera: SNIPS is for linear measurements"):
+        samplers.SNIPS().init(jax.random.key(0), post)
+    large = models.LinearLikelihood(models.Identity((65, 64)), models.Gaussian(0.1))
+    post = ps.Problem(large, models.GaussianField(np.ones((65, 64)))).condition(np.ones((65, 64)))
+    with pytest.raises(ValueError, match="of 4160 real dimensions"):
+        samplers.SNIPS().init(jax.random.key(0), post)
+
+
 # ---- diffusion posterior sampling ---------------------------------------------------------------
 
 
@@ -428,6 +485,10 @@ def test_the_flow_carries_a_gaussian_to_its_prior(x64, dtype):
         (lambda: samplers.DAPS(moves=0), "moves 0"),
         (lambda: samplers.DAPS(step_size=2.0), "step_size 2.0"),
         (lambda: samplers.DAPS(sigma_min=1.0, sigma_max=0.5), "sigma_min 1.0 is above"),
+        (lambda: samplers.SNIPS(levels=1), "levels 1"),
+        (lambda: samplers.SNIPS(steps=0), "steps 0"),
+        (lambda: samplers.SNIPS(step_size=2.0), "step_size 2.0"),
+        (lambda: samplers.SNIPS(sigma_min=-1.0), "sigma_min -1.0"),
         (lambda: samplers.Kawar(steps=0), "steps 0"),
         (lambda: samplers.Kawar(step_size=0.0), "step_size 0.0"),
         (lambda: samplers.Kawar(sigma_y=0.1, sigma_min=0.2), "sigma_min 0.2 is above sigma_y"),
@@ -438,16 +499,25 @@ def test_settings_are_refused_in_a_sentence(make, words):
         make()
 
 
-RUNS = (samplers.SplitGibbs(), samplers.DAPS(), samplers.DPS(), samplers.Kawar())
+RUNS = {
+    "split gibbs": samplers.SplitGibbs(),
+    "daps": samplers.DAPS(),
+    "dps": samplers.DPS(),
+    "kawar": samplers.Kawar(),
+    "snips": samplers.SNIPS(),
+}
 
 
-@pytest.mark.parametrize("sampler", RUNS, ids=["split gibbs", "daps", "dps", "kawar"])
-def test_a_signal_dependent_prior_is_refused(sampler):
-    likelihood = models.LinearLikelihood(models.Identity((3,)), models.Poisson(50))
-    problem = ps.Problem(likelihood, models.PixelPrior.gamma(3.0, 20.0, (3,)))
-    post = problem.condition(np.array([0.1, 0.2, 0.3]))
-    with pytest.raises(ValueError, match="'signal' perturbation: give"):
-        sampler.init(jax.random.key(0), post)
+@pytest.mark.parametrize("name", RUNS)
+def test_another_perturbation_is_refused(name):
+    kind, camera = "signal", models.Poisson(50)
+    if name == "snips":
+        kind, camera = "poisson", models.Gaussian(0.1)
+    likelihood = models.LinearLikelihood(models.Identity((3,)), camera)
+    prior = models.PixelPrior.gamma(3.0, 20.0, (3,), perturbation=kind)
+    post = ps.Problem(likelihood, prior).condition(np.array([0.1, 0.2, 0.3]))
+    with pytest.raises(ValueError, match=f"'{kind}' perturbation: give"):
+        RUNS[name].init(jax.random.key(0), post)
 
 
 def test_the_stochastic_denoiser_refuses_other_optics():
@@ -468,7 +538,7 @@ def test_a_warmup_does_not_shift_the_draws(kind):
 def test_draws_start_anew_from_a_given_start():
     """The level of the first step is the broadest one again, about the start."""
     post = denoising()
-    for sampler in RUNS:
+    for sampler in RUNS.values():
         state = sampler.init(jax.random.key(0), post, jnp.full(post.shape, 0.7))
         np.testing.assert_array_equal(state.origin, jnp.full(post.shape, 0.7))
         x, level = sampler.restarted(jax.random.key(1), state), state.sigmas[0]
