@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..diagnostics.shards import Shards
+from ..diagnostics.shards import Shard, Shards
 from ..sampling import NonFiniteError
 
 
@@ -42,55 +42,53 @@ def measure(
 
     `work(system, condition, index)` returns images (draws, *shape); it is called in a fresh process
     for each system and condition, and must be picklable. A ValueError of it is the system's
-    refusal, as is an answer that is infinite or NaN. Every answer is one file of `folder`, which a
-    run that was stopped goes on from, and `identity` says what the answers depend on: a folder of
-    another identity raises ValueError.
+    refusal, as are weights that are not there and an answer that is infinite or NaN. Every answer
+    is one file of `folder`, which a run that was stopped goes on from, and `identity` says what the
+    answers depend on: a folder of another identity raises ValueError, as does a process that dies.
     """
     owner = json.dumps(identity, sort_keys=True)
     for condition in conditions:
         for system in systems:
             shards = Shards(Path(folder) / f"{condition}-{system}", f"{owner} {system} {condition}")
-            for done in _completed(shards, system, condition, count, work):
-                yield system, condition, done, None
-            yield system, condition, count, _gathered(shards.found(count))
+            found = shards.found(count)
+            for i, shard in _computed(system, condition, set(range(count)) - set(found), work):
+                found[i] = shard
+                if "refusal" not in shard:
+                    # A refusal is not kept: what it lacks may be there the next time.
+                    shards.put(i, shard)
+                    yield system, condition, len(found), None
+            yield system, condition, count, _gathered(found)
 
 
-def _completed(
-    shards: Shards,
-    system: str,
-    condition: str,
-    count: int,
-    work: Callable[[str, str, int], np.ndarray],
-) -> Iterator[int]:
-    """Number of answers there, after each; missing ones are computed meanwhile."""
-    found = shards.found(count)
-    missing = [i for i in range(count) if i not in found]
-    if not missing or any("refusal" in shard for shard in found.values()):
+def _computed(
+    system: str, condition: str, missing: set[int], work: Callable[[str, str, int], np.ndarray]
+) -> Iterator[tuple[int, Shard]]:
+    """The missing answers one by one, up to the first refusal."""
+    if not missing:
         return
     # A process forked from one that runs JAX may hang.
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=fresh) as pool:
-        for i in missing:
+        for i in sorted(missing):
             try:
                 shard = pool.submit(_timed, work, system, condition, i).result()
             except BrokenProcessPool as error:
-                raise RuntimeError(
+                raise ValueError(
                     f"the process of {system} at {condition} ended: out of memory, or killed; what "
-                    "was done is kept, the same command goes on"
+                    "was done is kept, and the same command goes on"
                 ) from error
-            shards.put(i, shard)
-            yield len(shards.found(count))
+            yield i, shard
             if "refusal" in shard:
                 return
 
 
 def _timed(
     work: Callable[[str, str, int], np.ndarray], system: str, condition: str, index: int
-) -> dict[str, np.ndarray]:
+) -> Shard:
     began = time.perf_counter()
     try:
         images = np.asarray(work(system, condition, index))
-    except (ValueError, NonFiniteError) as error:
+    except (ValueError, NonFiniteError, FileNotFoundError) as error:
         return {"refusal": np.asarray(f"recording {index}: {error}")}
     if not np.all(np.isfinite(images)):
         return {"refusal": np.asarray(f"recording {index}: the answer is not finite")}
@@ -108,7 +106,7 @@ def _peak_memory() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def _gathered(found: dict[int, dict[str, np.ndarray]]) -> Answer:
+def _gathered(found: dict[int, Shard]) -> Answer:
     shards = [found[i] for i in sorted(found)]
     for shard in shards:
         if "refusal" in shard:

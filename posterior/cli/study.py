@@ -1,5 +1,6 @@
 """`posterior study`: the systems that a paper compares, on the same recordings."""
 
+import contextlib
 import hashlib
 from pathlib import Path
 from typing import Annotated
@@ -53,7 +54,7 @@ def command(
     truths = held_out(card, data, part, pictures, size)
     work = Denoising(truths, prior, bits or None, draws, seed)
     identity = {
-        "study": study, "weights": card["sha256"], "part": part, "size": size, "draws": draws,
+        "study": study, "weights": _weights(prior), "part": part, "size": size, "draws": draws,
         "bits": bits, "seed": seed, "first": hashlib.sha256(truths[0].tobytes()).hexdigest(),
     }  # fmt: skip
     found: dict[str, dict[str, Answer]] = {value: {} for value in sigma}
@@ -66,6 +67,15 @@ def command(
             found[value][name] = answer
             _write(out, found, truths)
     print((out / "study.md").read_text(encoding="utf-8"), end="")
+
+
+def _weights(prior: str) -> dict[str, str]:
+    """Hash of the weights for each annealing error that the prior has."""
+    found = {}
+    for perturbation in ("gaussian", "signal", "poisson"):
+        with contextlib.suppress(FileNotFoundError):
+            found[perturbation] = card_of(prior, "score", perturbation)["sha256"]
+    return found
 
 
 def _write(out: Path, found: dict[str, dict[str, Answer]], truths) -> None:  # noqa: ANN001

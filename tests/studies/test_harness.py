@@ -12,16 +12,22 @@ IDENTITY = {"study": "of the test", "seed": 0}
 
 
 class Work(NamedTuple):
-    """Writes down each call; `stop` is the index at which the study is interrupted."""
+    """Writes down each call; `stop` and `dies`: where it is interrupted, and its process killed."""
 
     folder: str
     stop: int = -1
+    dies: int = -1
+    broad: bool = False
 
     def __call__(self, system, condition, index):
         if index == self.stop:
             raise KeyboardInterrupt
-        if system == "narrow-minded":
+        if index == self.dies:
+            os._exit(1)
+        if system == "narrow-minded" and not self.broad:
             raise ValueError("only for blue pictures")
+        if system == "without weights":
+            raise FileNotFoundError("no weights for counts")
         if system == "diverging":
             return np.array([[np.inf]])
         with open(os.path.join(self.folder, "calls"), "a") as file:
@@ -61,10 +67,27 @@ def test_a_stopped_study_goes_on_without_repeating_an_answer(tmp_path):
 
 
 def test_a_system_that_does_not_apply_or_diverges_is_said_to(tmp_path):
+    systems = ["narrow-minded", "diverging", "without weights"]
     for _ in range(2):
-        found = answered(tmp_path, Work(str(tmp_path)), ["narrow-minded", "diverging"])
+        found = answered(tmp_path, Work(str(tmp_path)), systems)
+        assert found["without weights"].refusal == "recording 0: no weights for counts"
         assert found["narrow-minded"].refusal == "recording 0: only for blue pictures"
         assert found["diverging"].refusal == "recording 0: the answer is not finite"
+
+
+def test_a_refusal_is_not_kept(tmp_path):
+    """A package may be installed meanwhile."""
+    work = Work(str(tmp_path))
+    assert answered(tmp_path, work, ["narrow-minded"])["narrow-minded"].refusal
+    found = answered(tmp_path, work._replace(broad=True), ["narrow-minded"])["narrow-minded"]
+    assert not found.refusal and found.images.shape == (3, 2, 3)
+
+
+def test_a_process_that_dies_is_said_to_and_loses_nothing(tmp_path):
+    with pytest.raises(ValueError, match="the process of plain at 0.1 ended"):
+        answered(tmp_path, Work(str(tmp_path), dies=1), ["plain"])
+    assert answered(tmp_path, Work(str(tmp_path)), ["plain"])["plain"].images.shape == (3, 2, 3)
+    assert [call[3] for call in calls(tmp_path)] == ["0", "1", "2"]
 
 
 def test_another_study_is_refused_the_folder(tmp_path):
