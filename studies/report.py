@@ -13,7 +13,7 @@ LEVELS = (0.5, 0.9)
 _BLOCK = 8
 _HEAD = (
     "system", "mean, dB", "paper, dB", "a draw, dB", "SSIM", "CRPS x 1000",
-    "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error", "s", "MB",
+    "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error", "s a draw", "MB",
 )  # fmt: skip
 # The paper's Table 1 has these noise levels.
 _PUBLISHED_AT = (0.025, 0.05, 0.1, 0.2)

@@ -19,6 +19,7 @@ from posterior import models, presets
 from posterior.diagnostics import spread_over_error
 from posterior.estimators import anscombe_denoised
 from posterior.models.priors.storage import card_of
+from posterior.studies import held_out
 from posterior.train import Preparation, prepare
 from posterior.training_report import mean_psnr
 
@@ -48,15 +49,8 @@ SIDE, BATCH = 64, 16
 @pytest.fixture(scope="module")
 def patches():
     """(n, 64, 64), one of each picture: of eight random places the one with the most contrast."""
-    rng, found = np.random.default_rng(5), []
-    card = card_of("nuclei")
-    how = Preparation(**card["preparation"])
-    for name in card["data"][PART][:PATCHES]:
-        picture = prepare(os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei", name), how)
-        corners = rng.integers(0, np.array(picture.shape[:2]) - SIDE + 1, (8, 2))
-        crops = [picture[i : i + SIDE, j : j + SIDE, 0] for i, j in corners]
-        found.append(max(crops, key=np.std))
-    return np.stack(found)
+    folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
+    return held_out(card_of("nuclei"), folder, PART, PATCHES, SIDE)
 
 
 def within_grey_levels(pictures):
