@@ -88,14 +88,14 @@ def to_grey(picture: np.ndarray) -> np.ndarray:
 
 
 def fit_to(picture: np.ndarray, size: int) -> np.ndarray:
-    """The central square of a picture (h, w), real or complex, brought to (size, size).
+    """The central square of a picture (h, w[, channels]), real or complex, brought to `size`.
 
     Anti-aliased; it never enlarges: raises ValueError if `size` is above the shorter side.
     """
-    side = min(picture.shape)
+    side = min(picture.shape[:2])
     if size > side:
         raise ValueError(f"size {size} is above the picture's shorter side: give {side} or less")
-    top, left = ((n - side) // 2 for n in picture.shape)
+    top, left = ((n - side) // 2 for n in picture.shape[:2])
     square = picture[top : top + side, left : left + side]
     if size == side:
         return square

@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 
 from .checkpoint import Checkpoint, fingerprint
-from .images import read_picture, to_grey, to_unit_range
+from .images import fit_to, read_picture, to_grey, to_unit_range
 from .models.priors.denoiser import Denoiser, Statistics
 from .models.priors.learned import suited_shape
 from .models.priors.pictures import Pictures
@@ -32,6 +32,7 @@ from .models.priors.training import (
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".npz", ".jpg", ".jpeg")
 OBJECTS = {"grey": 1, "colour": 3, "complex": 2}
+HOLD_OUT = ("random", "last")
 
 # Trained levels in units of the pictures' sd, as an error per channel. The broadest is where noise
 # drowns every picture, so that draws may start from noise alone; the signal-dependent variable
@@ -46,7 +47,9 @@ class Preparation:
 
     `percentile`: each picture is divided by this percentile of its values and clipped at 1 (None:
     taken as it is); `floor`: smallest value (signal perturbation alone); `group`: pattern whose
-    match in a file's name says which pictures belong together and are never split apart.
+    match in a file's name says which pictures belong together and are never split apart;
+    `hold_out`: pictures for test and validation are "random" ones, or the "last" by name; `crop`:
+    pixels a side of the central square that is kept; `resize`: those that it is brought to.
     """
 
     objects: str = "grey"
@@ -55,8 +58,17 @@ class Preparation:
     group: str = ".*"
     validation: int = 32
     test: int = 0
+    hold_out: str = "random"
+    crop: int | None = None
+    resize: int | None = None
 
     def __post_init__(self):
+        if self.hold_out not in HOLD_OUT:
+            raise ValueError(f"unknown hold_out {self.hold_out!r}: use {' or '.join(HOLD_OUT)}")
+        for name in ("crop", "resize"):
+            pixels = getattr(self, name)
+            if pixels is not None and pixels < 1:
+                raise ValueError(f"{name} {pixels}: give pixels a side, 1 or more")
         if self.objects not in OBJECTS:
             raise ValueError(f"unknown objects {self.objects!r}: use {', '.join(OBJECTS)}")
         if self.percentile is not None and not 0 < self.percentile <= 100:
@@ -90,11 +102,14 @@ def picture_files(folder: str | os.PathLike) -> list[Path]:
     return files
 
 
-def split_names(names: Sequence[str], validation: int, test: int, group: str = ".*") -> Split:
+def split_names(
+    names: Sequence[str], validation: int, test: int, group: str = ".*", hold_out: str = "random"
+) -> Split:
     """Whole pictures (and whole groups of them) for training, validation and test.
 
-    The order is that of the SHA-256 of the group's name: the same for every training, whatever the
-    seed, and hardly moved by pictures that are added. At least `validation` and `test` pictures go
+    "random" is the order of the SHA-256 of the group's name: the same for every training, whatever
+    the seed, and hardly moved by pictures that are added. With "last", test takes the last ones by
+    name, and validation those before them. At least `validation` and `test` pictures go
     to those parts. Raises ValueError if none is left to train on.
     """
     groups: dict[str, list[str]] = {}
@@ -102,7 +117,8 @@ def split_names(names: Sequence[str], validation: int, test: int, group: str = "
         match = re.match(group, name)
         groups.setdefault(match.group(0) if match else name, []).append(name)
     parts: dict[str, list[str]] = {"test": [], "validation": [], "train": []}
-    for name in sorted(groups, key=lambda g: hashlib.sha256(g.encode()).hexdigest()):
+    by_hash = sorted(groups, key=lambda g: hashlib.sha256(g.encode()).hexdigest())
+    for name in by_hash if hold_out == "random" else sorted(groups, reverse=True):
         part = "test" if len(parts["test"]) < test else "train"
         if part == "train" and len(parts["validation"]) < validation:
             part = "validation"
@@ -121,9 +137,11 @@ def prepare(path: Path, how: Preparation) -> np.ndarray:
     if how.objects == "complex":
         if raw.ndim != 2:
             raise ValueError(f"{path} has shape {raw.shape}: a complex object is (height, width)")
+        raw = _framed(raw, how, path)
         scale = 1.0 if how.percentile is None else _percentile(np.abs(raw), how.percentile, path)
         return np.stack([raw.real / scale, np.imag(raw) / scale], axis=-1).astype(np.float32)
     picture = to_unit_range(raw) if how.percentile is None else raw.astype(float)
+    picture = _framed(picture, how, path)
     if how.objects == "grey":
         picture = to_grey(picture)[..., None]
     elif picture.ndim != 3 or picture.shape[-1] not in (3, 4):
@@ -132,6 +150,17 @@ def prepare(path: Path, how: Preparation) -> np.ndarray:
     if how.percentile is not None:
         picture = np.clip(picture / _percentile(picture, how.percentile, path), 0, 1)
     return np.maximum(picture, how.floor).astype(np.float32)
+
+
+def _framed(picture: np.ndarray, how: Preparation, path: Path) -> np.ndarray:
+    """The middle of a picture (h, w) or (h, w, channels) in the pixels asked for."""
+    h, w = picture.shape[:2]
+    if how.crop is not None:
+        if min(h, w) < how.crop:
+            raise ValueError(f"{path} is {h} x {w}: no square of {how.crop} pixels is in it")
+        top, left = (h - how.crop) // 2, (w - how.crop) // 2
+        picture = picture[top : top + how.crop, left : left + how.crop]
+    return picture if how.resize is None else fit_to(picture, how.resize)
 
 
 def normalisation(how: Preparation) -> str:

@@ -158,7 +158,7 @@ def _figure(path: Path, losses: np.ndarray, table: dict[str, Any], draws: np.nda
     right.minorticks_off()
     right.legend()
     for axes, draw in zip(bottom.subplots(1, len(draws)), draws):
-        axes.imshow(draw, cmap="gray", vmin=0, vmax=1)
+        axes.imshow(np.minimum(draw, 1), cmap="gray", vmin=0, vmax=1)
         axes.set_axis_off()
     bottom.suptitle("Draws of the prior")
     figure.savefig(path, dpi=120)

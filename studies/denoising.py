@@ -24,7 +24,7 @@ _RED_LEVEL, _RED_WEIGHT = 0.25, 2.0
 
 
 class Recording(NamedTuple):
-    """What a system is given: counts `y` (h, w), their camera, the name of the prior, and keys."""
+    """What a system is given: counts `y` (h, w[, 3]), their camera, the prior's name, a key."""
 
     y: jax.Array
     camera: Poisson
@@ -40,7 +40,7 @@ class Recording(NamedTuple):
 
 
 class System(NamedTuple):
-    """`answer(recording)` gives images (draws, h, w): one of an estimator, which does not sample.
+    """`answer(recording)` gives images (draws, h, w[, 3]): an estimator one, it does not sample.
 
     `published`: PSNR in the paper's Table 1 at sigma_0 = 0.025, 0.05, 0.1 and 0.2, on faces.
     """
@@ -52,7 +52,7 @@ class System(NamedTuple):
 
 
 class Denoising(NamedTuple):
-    """The study: `truths` (n, h, w) in 0..1, and how each is recorded and answered.
+    """The study: `truths` (n, h, w[, 3]) in 0..1, and how each is recorded and answered.
 
     A condition is sigma_0 as text: a camera of 1/sigma_0^2 electrons, with an ADC of `bits` (None:
     whole counts). Callable as the harness wants it.
@@ -108,7 +108,7 @@ def _regularised(recording: Recording) -> np.ndarray:
 
 def _anscombe(recording: Recording, shares: tuple[float, ...]) -> np.ndarray:
     try:
-        from bm3d import bm3d
+        from bm3d import bm3d, bm3d_rgb
     except ImportError as error:
         raise ValueError(
             "BM3D is not installed: pip install 'posterior-imaging[baselines]'"
@@ -116,7 +116,8 @@ def _anscombe(recording: Recording, shares: tuple[float, ...]) -> np.ndarray:
     # Codes hide counts where the ADC is coarse; the nearest count is what is known.
     camera = Poisson(recording.camera.full_well)
     counts = np.round(np.asarray(recording.y, float) * camera.full_well)
-    return anscombe_denoised(counts / camera.full_well, camera, bm3d, shares)[None]
+    denoiser = bm3d if recording.y.ndim == 2 else bm3d_rgb
+    return anscombe_denoised(counts / camera.full_well, camera, denoiser, shares)[None]
 
 
 def _drawn(

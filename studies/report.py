@@ -20,7 +20,7 @@ _PUBLISHED_AT = (0.025, 0.05, 0.1, 0.2)
 
 
 def judged(answer: Answer, truths: np.ndarray) -> dict[str, float | tuple[float, ...]]:
-    """Figures of an answer against truths (n, h, w), n >= 2; the image is the unit of every error.
+    """Figures of an answer against truths (n, h, w[, 3]), n >= 2; errors are by images.
 
     Fidelity of the mean of the draws, and of draws by themselves; for those that sample the share
     of truths inside the central intervals of LEVELS with its standard error, by randomised ranks,
@@ -40,9 +40,10 @@ def judged(answer: Answer, truths: np.ndarray) -> dict[str, float | tuple[float,
     if draws.shape[1] < 2:
         return found
     rng = np.random.default_rng(0)
+    drawn, true = (draws, truths) if truths.ndim == 3 else (_planes(draws), _planes(truths))
     asked = {"pixels": _same, "blocks": block_means, "image mean": _image_mean}
     for name, f in asked.items():
-        shares = [coverage(f(draws), f(truths), level, rng) for level in LEVELS]
+        shares = [coverage(f(drawn), f(true), level, rng) for level in LEVELS]
         found[name] = tuple(value for share in shares for value in (share.share, share.error))
     found["draw psnr"] = float(np.mean([psnr(x[0], truth) for x, truth in zip(draws, truths)]))
     found["crps"] = float(np.mean([crps(x, truth).mean() for x, truth in zip(draws, truths)]))
@@ -55,6 +56,11 @@ def block_means(images: np.ndarray) -> np.ndarray:
     h, w = (n // _BLOCK for n in images.shape[-2:])
     whole = images[..., : h * _BLOCK, : w * _BLOCK]
     return whole.reshape(*images.shape[:-2], h, _BLOCK, w, _BLOCK).mean((-3, -1))
+
+
+def _planes(images: np.ndarray) -> np.ndarray:
+    """Pictures in colour (..., h, w, 3) as planes (..., 3, h, w)."""
+    return np.moveaxis(images, -1, -3)
 
 
 def _same(images: np.ndarray) -> np.ndarray:
@@ -124,7 +130,7 @@ def picture(answers: dict[str, dict[str, Answer]], truths: np.ndarray) -> Figure
 
 
 def _show(axis, image: np.ndarray, title: str) -> None:  # noqa: ANN001
-    axis.imshow(image, cmap="gray", vmin=0, vmax=1)
+    axis.imshow(np.clip(image, 0, 1), cmap="gray", vmin=0, vmax=1)
     axis.set_title(title, fontsize=7)
     axis.set_xticks([])
     axis.set_yticks([])

@@ -63,7 +63,8 @@ class LearnedPrior(Prior):
         perturbation: str = "gaussian",
         dtype: type | None = None,
     ) -> Self:
-        """Weights by their short name ("nuclei") or the path of a .safetensors file.
+        """Weights by their short name ("nuclei"), the path of a .safetensors file, or what it
+        begins with, before "-gaussian-score.safetensors" and the like.
 
         `perturbation` and `dtype` (float or complex; None: what the weights are for) are what the
         problem asks for. Raises ValueError if the file or its card is damaged or not for that.

@@ -7,6 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+# What patches may be turned by: nothing, left and right, or all eight symmetries of a square.
+SYMMETRIES = ("none", "mirror", "square")
+
 
 class Pictures(eqx.Module):
     """Pictures (h, w, channels), real, of one number of channels, as a single device array."""
@@ -33,8 +36,8 @@ class Pictures(eqx.Module):
         self.heights = jnp.asarray([p.shape[0] for p in pictures], jnp.int32)
         self.widths = jnp.asarray([p.shape[1] for p in pictures], jnp.int32)
 
-    def patch(self, key: jax.Array, size: int) -> jax.Array:
-        """A random patch (size, size, channels), randomly flipped and transposed.
+    def patch(self, key: jax.Array, size: int, symmetry: str = "square") -> jax.Array:
+        """A random patch (size, size, channels) under a random one of the symmetries.
 
         Every place in every picture is equally likely; all sides must be at least `size`.
         """
@@ -45,13 +48,15 @@ class Pictures(eqx.Module):
         place = jax.random.uniform(key_place, (2,))
         top = jnp.minimum((place[0] * free_rows[i]).astype(jnp.int32), free_rows[i] - 1)
         left = jnp.minimum((place[1] * free_columns[i]).astype(jnp.int32), free_columns[i] - 1)
-        rows, columns = _turned(key_flip, size)
+        rows, columns = _turned(key_flip, size, symmetry)
         return self.values[self.offsets[i] + (top + rows) * self.widths[i] + left + columns]
 
 
-def _turned(key: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
-    """Row and column of every pixel of a patch, under one of the eight symmetries of a square."""
-    flip_rows, flip_columns, transpose = jax.random.bernoulli(key, shape=(3,))
+def _turned(key: jax.Array, size: int, symmetry: str) -> tuple[jax.Array, jax.Array]:
+    """Row and column of every pixel of a patch, under a random one of the symmetries."""
+    whole, half = symmetry == "square", symmetry != "none"
+    turned = jax.random.bernoulli(key, shape=(3,))
+    flip_rows, flip_columns, transpose = turned & jnp.array([whole, half, whole])
     index = jnp.arange(size)
     rows = jnp.where(flip_rows, index[::-1], index)[:, None]
     columns = jnp.where(flip_columns, index[::-1], index)[None, :]

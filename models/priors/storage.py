@@ -143,13 +143,15 @@ def _located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
         if not path.is_file():
             raise FileNotFoundError(f"no file {path}: give the path of a .safetensors file")
         return path
-    path = FOLDER / f"{name}-{perturbation}-{kind}.safetensors"
-    if not path.exists():
-        raise ValueError(
-            f"no {kind} weights {str(name)!r} for the {perturbation} perturbation: use one of "
-            f"{', '.join(shipped()) or '(none)'}, or the path of a .safetensors file"
-        )
-    return path
+    stem = f"{name}-{perturbation}-{kind}.safetensors"
+    for path in (FOLDER / stem, Path(stem)):
+        if path.exists():
+            return path
+    raise ValueError(
+        f"no {kind} weights {str(name)!r} for the {perturbation} perturbation: use one of "
+        f"{', '.join(shipped()) or '(none)'}, or the path of a .safetensors file, or what such "
+        f"paths begin with, before -{perturbation}-{kind}.safetensors"
+    )
 
 
 def _check_asked(

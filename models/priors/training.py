@@ -15,7 +15,7 @@ import optax
 from .denoiser import Denoiser
 from .learned import energy
 from .perturbation import count_loss, denoising_loss, perturbed, signal_score_loss
-from .pictures import Pictures
+from .pictures import SYMMETRIES, Pictures
 
 KINDS = ("score", "energy")
 
@@ -30,7 +30,7 @@ class Recipe:
 
     `size`: patch side in pixels; `rate`: Adam's, warmed up and brought to zero along a cosine;
     `average`: decay of the moving average of the weights that is kept; `clip`: largest norm of a
-    gradient.
+    gradient; `symmetry`: what a patch may be turned by, one of `SYMMETRIES`.
     """
 
     kind: str = "score"
@@ -41,10 +41,14 @@ class Recipe:
     average: float = 0.998
     clip: float = 1.0
     seed: int = 0
+    symmetry: str = "square"
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise ValueError(f"unknown kind {self.kind!r}: use {' or '.join(KINDS)}")
+        if self.symmetry not in SYMMETRIES:
+            known = ", ".join(SYMMETRIES)
+            raise ValueError(f"unknown symmetry {self.symmetry!r}: use one of {known}")
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
@@ -123,7 +127,7 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     """Loss of one random patch at one random level; 1 for a network that has learnt nothing."""
     stats = denoiser.statistics
     key_patch, key_level, key_error = jax.random.split(key, 3)
-    clean = pictures.patch(key_patch, recipe.size)
+    clean = pictures.patch(key_patch, recipe.size, recipe.symmetry)
     sigma = random_level(key_level, denoiser)
     x = perturbed(key_error, clean, sigma, stats.perturbation, stats.complex_valued)
     weight = denoiser.loss_weight(sigma)

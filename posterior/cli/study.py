@@ -22,7 +22,9 @@ def command(
     study: Annotated[str, typer.Argument(help=f"One of {', '.join(_STUDIES)}.")],
     data: Annotated[Path, typer.Option(help="Folder of the pictures that the prior's card lists.")],
     out: Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")],
-    prior: Annotated[str, typer.Option(help="Shipped weights, or a file.")] = "nuclei",
+    prior: Annotated[
+        str, typer.Option(help="Shipped weights, or paths up to -gaussian-score.safetensors.")
+    ] = "nuclei",
     sigma: Annotated[
         list[str], typer.Option(help="Noise over full light; may be repeated.")
     ] = list(_SIGMAS),  # noqa: B006
@@ -73,7 +75,7 @@ def _weights(prior: str) -> dict[str, str]:
     """Hash of the weights for each annealing error that the prior has."""
     found = {}
     for perturbation in ("gaussian", "signal", "poisson"):
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(FileNotFoundError, ValueError):
             found[perturbation] = card_of(prior, "score", perturbation)["sha256"]
     return found
 

@@ -15,9 +15,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ..models.priors.denoiser import Denoiser, Statistics
 from ..models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
 from ..models.priors.perturbation import PERTURBATIONS, check_perturbation
+from ..models.priors.pictures import SYMMETRIES
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from ..models.priors.training import Recipe
 from ..train import (
+    HOLD_OUT,
     OBJECTS,
     Preparation,
     normalisation,
@@ -44,15 +46,23 @@ def command(
         float | None, typer.Option(help="Divide each picture by this percentile, clip at 1.")
     ] = None,
     floor: Annotated[float, typer.Option(help="Least value of a picture, for signal.")] = 0.01,
+    crop: Annotated[int | None, typer.Option(help="Keep the central square of this side.")] = None,
+    resize: Annotated[int | None, typer.Option(help="Bring the central square to it.")] = None,
     size: Annotated[int, typer.Option(help="Pixels a side of a training patch.")] = 48,
     steps: Annotated[int, typer.Option(help="Steps of Adam.")] = 5000,
     batch: Annotated[int, typer.Option(help="Patches a step.")] = 16,
+    symmetry: Annotated[
+        str, typer.Option(help=f"Patches are also turned: one of {', '.join(SYMMETRIES)}.")
+    ] = "square",
     rate: Annotated[float, typer.Option(help="Learning rate at its highest.")] = 2e-3,
     network: Annotated[str, typer.Option(help="unet, or ncsnv2.")] = "unet",
     widths: Annotated[str, typer.Option(help="Channels of each level.")] = "32,64,96",
     blocks: Annotated[int, typer.Option(help="Residual blocks a level.")] = 1,
     validation: Annotated[int, typer.Option(help="Pictures held out to watch.")] = 32,
     test: Annotated[int, typer.Option(help="Pictures held out and not looked at.")] = 0,
+    hold_out: Annotated[
+        str, typer.Option(help=f"Which pictures: {' or '.join(HOLD_OUT)} by name.")
+    ] = "random",
     group: Annotated[str, typer.Option(help="Pattern: names that match alike stay together.")] = (
         ".*"
     ),
@@ -67,13 +77,12 @@ def command(
     check_perturbation(perturbation, objects == "complex")
     if perturbation == "poisson" and kind == "energy":
         raise ValueError("--kind energy: counts have no density to learn, use --kind score")
-    how = Preparation(
-        objects, percentile, floor if perturbation == "signal" else 0.0, group, validation, test
-    )
-    recipe = Recipe(kind, steps, batch, size, rate, seed=seed)
+    least = floor if perturbation == "signal" else 0.0
+    how = Preparation(objects, percentile, least, group, validation, test, hold_out, crop, resize)
+    recipe = Recipe(kind, steps, batch, size, rate, seed=seed, symmetry=symmetry)
     folder = _data_folder(data)
     files = {p.name: p for p in picture_files(folder)}
-    split = split_names(list(files), validation, test, group)
+    split = split_names(list(files), validation, test, group, hold_out)
     loaded = [prepare(files[name], how) for name in split.train]
     pictures = [p for p in loaded if min(p.shape[:2]) >= size]
     if not pictures:
@@ -216,7 +225,7 @@ def _command(options: dict[str, Any]) -> str:
         if value is None or name == "quiet":
             continue
         value = Path(value).name if name in ("data", "out", "init") else value
-        parts += [f"--{name}", shlex.quote(str(value))]
+        parts += [f"--{name.replace('_', '-')}", shlex.quote(str(value))]
     return " ".join(parts)
 
 

@@ -58,6 +58,17 @@ def test_half_precision_is_read_as_single(weights):
         assert a.dtype == np.float32
 
 
+def test_weights_are_found_by_what_their_path_begins_with(weights, tmp_path, monkeypatch):
+    for ending in (".safetensors", ".json"):
+        weights.with_suffix(ending).rename(tmp_path / f"mine-gaussian-score{ending}")
+    for name in (tmp_path / "mine", str(tmp_path / "mine")):
+        assert load_denoiser(name, "score", "gaussian").statistics.mean == 0.3
+    monkeypatch.chdir(tmp_path)
+    assert load_denoiser("mine", "score", "gaussian").statistics.mean == 0.3
+    with pytest.raises(ValueError, match="before -signal-score.safetensors"):
+        load_denoiser("mine", "score", "signal")
+
+
 def test_truncated_file_is_refused(weights):
     weights.write_bytes(weights.read_bytes()[:-10])
     with pytest.raises(ValueError, match="SHA-256 differs"):

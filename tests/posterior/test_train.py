@@ -46,6 +46,25 @@ def test_a_new_picture_moves_few_others():
     assert len(before & after) >= 19
 
 
+def test_the_last_by_name_may_be_held_out():
+    split = split_names([f"{i:02d}.png" for i in range(20)], 3, 4, hold_out="last")
+    assert split.test == [f"{i}.png" for i in (16, 17, 18, 19)]
+    assert split.validation == [f"{i}.png" for i in (13, 14, 15)]
+
+
+@pytest.mark.parametrize("symmetry, count", [("none", 1), ("mirror", 2), ("square", 8)])
+def test_patches_are_turned_as_asked(symmetry, count):
+    """The whole picture under each allowed symmetry, with left and right its first."""
+    picture = np.arange(9.0, dtype="f4").reshape(3, 3, 1)
+    held = Pictures([picture])
+    keys = jax.random.split(jax.random.key(0), 200)
+    patches = np.asarray(jax.vmap(lambda key: held.patch(key, 3, symmetry))(keys))
+    found = {patch.tobytes() for patch in patches}
+    assert len(found) == count
+    assert picture.tobytes() in found
+    assert symmetry == "none" or np.ascontiguousarray(picture[:, ::-1]).tobytes() in found
+
+
 def test_patches_are_cut_from_the_pictures():
     pictures = [np.arange(n * m, dtype=float).reshape(n, m, 1) for n, m in ((9, 12), (8, 8))]
     held = Pictures(pictures)
@@ -76,6 +95,24 @@ def test_files_become_units_of_the_prior(tmp_path):
     np.save(tmp_path / "c.npy", (grey + 2j * grey) / 10)
     found = prepare(tmp_path / "c.npy", Preparation("complex"))
     np.testing.assert_allclose(found, np.stack([grey / 10, grey / 5], -1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("objects", ["grey", "colour", "complex"])
+def test_the_middle_of_a_file_is_cut_and_resized(tmp_path, objects):
+    """A plane stays that plane, but for the edge, whatever the pixels: 4 of 2 x 2 are 2 of 4."""
+    rows, columns = np.mgrid[:24, :30]
+    plane = 0.2 + 0.01 * rows + 0.015 * columns
+    picture = {"grey": plane, "colour": plane[..., None] * [1, 0.5, 0.25], "complex": 1j * plane}
+    np.save(tmp_path / "a.npy", picture[objects])
+    cut = prepare(tmp_path / "a.npy", Preparation(objects, crop=16))
+    whole = prepare(tmp_path / "a.npy", Preparation(objects))
+    np.testing.assert_allclose(cut, whole[4:20, 7:23], rtol=1e-6)
+    small = prepare(tmp_path / "a.npy", Preparation(objects, crop=16, resize=8))
+    assert small.shape == (8, 8, cut.shape[-1])
+    means = cut.reshape(8, 2, 8, 2, -1).mean((1, 3))
+    np.testing.assert_allclose(small[2:-2, 2:-2], means[2:-2, 2:-2], atol=2e-4)
+    with pytest.raises(ValueError, match="no square of 25 pixels"):
+        prepare(tmp_path / "a.npy", Preparation(objects, crop=25))
 
 
 # ---- training ------------------------------------------------------------------------------------
@@ -262,6 +299,10 @@ def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monk
         (("--widths", "8,x"), "widths"),
         (("--objects", "colour"), "in colour"),
         (("--init", "nothing.safetensors"), "no file"),
+        (("--hold-out", "first"), "unknown hold_out"),
+        (("--crop", 0), "crop 0"),
+        (("--resize", 900), "above the picture's shorter side"),
+        (("--symmetry", "cube"), "unknown symmetry"),
     ],
 )
 def test_bad_options_are_one_sentence(command, folder, tmp_path, options, words):

@@ -1,5 +1,8 @@
 """The denoising study: recordings, figures that are known, the table, and the command."""
 
+import dataclasses
+
+import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,9 +10,11 @@ from PIL import Image
 from posterior import models
 from posterior.cli import main
 from posterior.diagnostics.fidelity import psnr
-from posterior.models.priors.storage import card_of
+from posterior.models.priors.denoiser import Denoiser, Statistics
+from posterior.models.priors.storage import build_network, card_of, save_weights
 from posterior.studies import SYSTEMS, Answer, Denoising, as_table, held_out, judged
 from posterior.studies.denoising import electrons
+from posterior.train import Preparation
 
 SIDE = 16
 
@@ -134,6 +139,50 @@ def test_patches_are_those_of_the_card_and_the_same_each_time(folder):
         held_out(card_of("nuclei"), folder, "test", 3, 25)
     with pytest.raises(ValueError, match="lists 96 test pictures, not 97"):
         held_out(card_of("nuclei"), folder, "test", 97, SIDE)
+
+
+@pytest.fixture
+def coloured(tmp_path):
+    """Weights of a small network in colour, and the two pictures that its card holds out."""
+    network = {"type": "unet", "channels": 3, "widths": [4], "blocks": 1, "fine": 4}
+    built = build_network(network, jax.random.key(0))
+    rng = np.random.default_rng(0)
+    names = ["a.png", "b.png"]
+    for name in names:
+        picture = rng.integers(0, 255, (SIDE, SIDE, 3)).astype(np.uint8)
+        Image.fromarray(picture).save(tmp_path / name)
+    how = Preparation("colour")
+    card = {
+        "name": "mine", "kind": "score", "network": network, "data": {"test": names},
+        "preparation": dataclasses.asdict(how),
+    }  # fmt: skip
+    for perturbation in ("gaussian", "poisson"):
+        denoiser = Denoiser(built, Statistics(0.5, 0.3, 0.01, 5.0, perturbation, lowest=0.0))
+        save_weights(tmp_path / f"mine-{perturbation}-score.safetensors", denoiser, card)
+    return tmp_path
+
+
+def test_pictures_in_colour_are_studied_as_others_are(coloured, capsys):
+    """One channel beside another; of errors that the prior lacks, the systems do not answer."""
+    systems = ("recording", "RED", "thickening", "annealed, signal")
+    options = [word for name in systems for word in ("--system", name)]
+    prior = str(coloured / "mine")
+    assert not run(coloured, coloured / "out", *options, "--sigma", "0.1", "--prior", prior)
+    table = capsys.readouterr().out
+    assert "| RED |" in table and "| thickening |" in table
+    assert "- annealed, signal: no answer to recording 0: no score weights" in table
+
+
+def test_figures_in_colour_are_those_of_the_planes():
+    rng = np.random.default_rng(0)
+    truths = rng.uniform(size=(6, SIDE, SIDE, 3))
+    draws = truths[:, None] + 0.1 * rng.standard_normal((6, 5, *truths.shape[1:]))
+    found = judged(Answer(draws, np.ones(6), 0), truths)
+    planes = np.moveaxis(draws, -1, 2).reshape(6, 5, 3 * SIDE, SIDE)
+    beside = np.moveaxis(truths, -1, 1).reshape(6, 3 * SIDE, SIDE)
+    grey = judged(Answer(planes, np.ones(6), 0), beside)
+    for name in ("psnr", "crps", "spread", "pixels", "blocks"):
+        np.testing.assert_allclose(found[name], grey[name], rtol=1e-9)
 
 
 def run(folder, out, *options):
