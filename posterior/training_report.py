@@ -132,7 +132,8 @@ def write_report(
     draws = np.asarray(jax.jit(jax.vmap(prior.sample))(keys))
     report = {"denoising_psnr_db": table, "loss": [round(float(v), 5) for v in _thinned(losses)]}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-    _figure(folder / "report.png", losses, table, np.abs(draws))
+    shown = np.abs(draws) if prior.complex_valued else draws
+    _figure(folder / "report.png", losses, table, shown)
 
 
 def _thinned(losses: np.ndarray, points: int = 200) -> np.ndarray:
@@ -158,7 +159,7 @@ def _figure(path: Path, losses: np.ndarray, table: dict[str, Any], draws: np.nda
     right.minorticks_off()
     right.legend()
     for axes, draw in zip(bottom.subplots(1, len(draws)), draws):
-        axes.imshow(np.minimum(draw, 1), cmap="gray", vmin=0, vmax=1)
+        axes.imshow(np.clip(draw, 0, 1), cmap="gray", vmin=0, vmax=1)
         axes.set_axis_off()
     bottom.suptitle("Draws of the prior")
     figure.savefig(path, dpi=120)
