@@ -87,6 +87,12 @@ def to_grey(picture: np.ndarray) -> np.ndarray:
     raise ValueError(f"an array of shape {picture.shape} is no picture: give (height, width)")
 
 
+def central_square(picture: np.ndarray, side: int) -> np.ndarray:
+    """The middle (side, side) of a picture (h, w[, channels]) that has as much."""
+    top, left = ((n - side) // 2 for n in picture.shape[:2])
+    return picture[top : top + side, left : left + side]
+
+
 def fit_to(picture: np.ndarray, size: int) -> np.ndarray:
     """The central square of a picture (h, w[, channels]), real or complex, brought to `size`.
 
@@ -95,8 +101,7 @@ def fit_to(picture: np.ndarray, size: int) -> np.ndarray:
     side = min(picture.shape[:2])
     if size > side:
         raise ValueError(f"size {size} is above the picture's shorter side: give {side} or less")
-    top, left = ((n - side) // 2 for n in picture.shape[:2])
-    square = picture[top : top + side, left : left + side]
+    square = central_square(picture, side)
     if size == side:
         return square
     if np.iscomplexobj(square):

@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 
 from .checkpoint import Checkpoint, fingerprint
-from .images import fit_to, read_picture, to_grey, to_unit_range
+from .images import central_square, fit_to, read_picture, to_grey, to_unit_range
 from .models.priors.denoiser import Denoiser, Statistics
 from .models.priors.learned import suited_shape
 from .models.priors.pictures import Pictures
@@ -141,12 +141,11 @@ def prepare(path: Path, how: Preparation) -> np.ndarray:
         scale = 1.0 if how.percentile is None else _percentile(np.abs(raw), how.percentile, path)
         return np.stack([raw.real / scale, np.imag(raw) / scale], axis=-1).astype(np.float32)
     picture = to_unit_range(raw) if how.percentile is None else raw.astype(float)
-    picture = _framed(picture, how, path)
     if how.objects == "grey":
         picture = to_grey(picture)[..., None]
     elif picture.ndim != 3 or picture.shape[-1] not in (3, 4):
         raise ValueError(f"{path} has shape {raw.shape}: a picture in colour is (h, w, 3)")
-    picture = picture[..., : OBJECTS[how.objects]]
+    picture = _framed(picture[..., : OBJECTS[how.objects]], how, path)
     if how.percentile is not None:
         picture = np.clip(picture / _percentile(picture, how.percentile, path), 0, 1)
     return np.maximum(picture, how.floor).astype(np.float32)
@@ -158,8 +157,7 @@ def _framed(picture: np.ndarray, how: Preparation, path: Path) -> np.ndarray:
     if how.crop is not None:
         if min(h, w) < how.crop:
             raise ValueError(f"{path} is {h} x {w}: no square of {how.crop} pixels is in it")
-        top, left = (h - how.crop) // 2, (w - how.crop) // 2
-        picture = picture[top : top + how.crop, left : left + how.crop]
+        picture = central_square(picture, how.crop)
     return picture if how.resize is None else fit_to(picture, how.resize)
 
 

@@ -113,7 +113,7 @@ def _shares(found: tuple[float, ...]) -> str:
 def picture(answers: dict[str, dict[str, Answer]], truths: np.ndarray) -> Figure:
     """The first truth, and the mean of each system's answer to it: a row for each condition."""
     names = list(dict.fromkeys(name for found in answers.values() for name in found))
-    size = (1.5 * (len(names) + 1), 1.75 * len(answers))
+    size = (1.5 * (len(names) + 1), 2 * len(answers))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(len(answers), len(names) + 1, squeeze=False)
     for row, (condition, found) in zip(axes, answers.items()):

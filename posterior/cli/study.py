@@ -9,6 +9,7 @@ import typer
 
 from ..files import replace_whole
 from ..models.camera import Poisson
+from ..models.priors.perturbation import PERTURBATIONS
 from ..models.priors.storage import card_of
 from ..studies import SYSTEMS, Answer, Denoising, as_table, held_out, measure, picture
 from ..studies.denoising import electrons
@@ -74,7 +75,7 @@ def command(
 def _weights(prior: str) -> dict[str, str]:
     """Hash of the weights for each annealing error that the prior has."""
     found = {}
-    for perturbation in ("gaussian", "signal", "poisson"):
+    for perturbation in PERTURBATIONS:
         with contextlib.suppress(FileNotFoundError, ValueError):
             found[perturbation] = card_of(prior, "score", perturbation)["sha256"]
     return found

@@ -54,7 +54,7 @@ def test_the_last_by_name_may_be_held_out():
 
 @pytest.mark.parametrize("symmetry, count", [("none", 1), ("mirror", 2), ("square", 8)])
 def test_patches_are_turned_as_asked(symmetry, count):
-    """The whole picture under each allowed symmetry, with left and right its first."""
+    """One picture as large as the patch: all its allowed symmetries come up, and no other."""
     picture = np.arange(9.0, dtype="f4").reshape(3, 3, 1)
     held = Pictures([picture])
     keys = jax.random.split(jax.random.key(0), 200)
@@ -99,7 +99,7 @@ def test_files_become_units_of_the_prior(tmp_path):
 
 @pytest.mark.parametrize("objects", ["grey", "colour", "complex"])
 def test_the_middle_of_a_file_is_cut_and_resized(tmp_path, objects):
-    """A plane stays that plane, but for the edge, whatever the pixels: 4 of 2 x 2 are 2 of 4."""
+    """Halved, a plane is the means of 2 x 2 pixels, but at the edge, which the filter mirrors."""
     rows, columns = np.mgrid[:24, :30]
     plane = 0.2 + 0.01 * rows + 0.015 * columns
     picture = {"grey": plane, "colour": plane[..., None] * [1, 0.5, 0.25], "complex": 1j * plane}
@@ -110,9 +110,15 @@ def test_the_middle_of_a_file_is_cut_and_resized(tmp_path, objects):
     small = prepare(tmp_path / "a.npy", Preparation(objects, crop=16, resize=8))
     assert small.shape == (8, 8, cut.shape[-1])
     means = cut.reshape(8, 2, 8, 2, -1).mean((1, 3))
-    np.testing.assert_allclose(small[2:-2, 2:-2], means[2:-2, 2:-2], atol=2e-4)
+    np.testing.assert_allclose(small[2:-2, 2:-2], means[2:-2, 2:-2], rtol=1e-6)
     with pytest.raises(ValueError, match="no square of 25 pixels"):
         prepare(tmp_path / "a.npy", Preparation(objects, crop=25))
+
+
+def test_pages_are_not_taken_for_rows(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((20, 24, 30)))
+    with pytest.raises(ValueError, match="holds 20 pages"):
+        prepare(tmp_path / "a.npy", Preparation(crop=16, resize=8))
 
 
 # ---- training ------------------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def coloured(tmp_path):
 
 
 def test_pictures_in_colour_are_studied_as_others_are(coloured, capsys):
-    """One channel beside another; of errors that the prior lacks, the systems do not answer."""
+    """Systems of the errors that the prior has answer; that of one it lacks says so."""
     systems = ("recording", "RED", "thickening", "annealed, signal")
     options = [word for name in systems for word in ("--system", name)]
     prior = str(coloured / "mine")
@@ -171,6 +171,20 @@ def test_pictures_in_colour_are_studied_as_others_are(coloured, capsys):
     table = capsys.readouterr().out
     assert "| RED |" in table and "| thickening |" in table
     assert "- annealed, signal: no answer to recording 0: no score weights" in table
+
+
+def test_block_matching_sees_the_colours_together(truths):
+    """It comes closer to a picture whose colours are shades of one than plane by plane."""
+    pytest.importorskip("bm3d")
+    study_of = lambda pictures: Denoising(pictures, "nuclei", None, draws=2, seed=0)  # noqa: E731
+    coloured = truths[..., None] * np.array([1.0, 0.7, 0.4], np.float32)
+    together = study_of(coloured)("VST + BM3D", "0.2", 0)[0]
+    assert together.shape == coloured[0].shape
+    recording = study_of(coloured).recording("0.2", 0)
+    apart = [
+        SYSTEMS["VST + BM3D"].answer(recording._replace(y=recording.y[..., i]))[0] for i in range(3)
+    ]
+    assert psnr(together, coloured[0]) > psnr(np.stack(apart, -1), coloured[0]) + 0.5
 
 
 def test_figures_in_colour_are_those_of_the_planes():
