@@ -53,7 +53,9 @@ def test_the_counts_network_answers_in_one_evaluation(truths):
 def systems():
     quick = ("recording", "MMSE", "RED", "thickening")
     return [
-        pytest.param(name, marks=[] if name in quick else [pytest.mark.slow]) for name in SYSTEMS
+        pytest.param(name, marks=[] if name in quick else [pytest.mark.slow])
+        for name in SYSTEMS
+        if name != "VST + BM3D by planes"  # these pictures have one
     ]
 
 
@@ -180,11 +182,13 @@ def test_block_matching_sees_the_colours_together(truths):
     coloured = truths[..., None] * np.array([1.0, 0.7, 0.4], np.float32)
     together = study_of(coloured)("VST + BM3D", "0.2", 0)[0]
     assert together.shape == coloured[0].shape
-    recording = study_of(coloured).recording("0.2", 0)
-    apart = [
-        SYSTEMS["VST + BM3D"].answer(recording._replace(y=recording.y[..., i]))[0] for i in range(3)
-    ]
-    assert psnr(together, coloured[0]) > psnr(np.stack(apart, -1), coloured[0]) + 0.5
+    apart = study_of(coloured)("VST + BM3D by planes", "0.2", 0)[0]
+    alone = study_of(coloured).recording("0.2", 0)
+    alone = SYSTEMS["VST + BM3D"].answer(alone._replace(y=alone.y[..., 1]))[0]
+    np.testing.assert_array_equal(apart[..., 1], alone)
+    assert psnr(together, coloured[0]) > psnr(apart, coloured[0]) + 0.5
+    with pytest.raises(ValueError, match="one plane"):
+        study_of(truths)("VST + BM3D by planes", "0.2", 0)
 
 
 def test_figures_in_colour_are_those_of_the_planes():
