@@ -17,6 +17,9 @@ test: .venv/installed-test
 
 study: .venv/installed-test
 	$(BIN)/python -m pytest -m slow --durations=0 -s
+ifdef POSTERIOR_DATA
+	$(BIN)/posterior study denoising --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/study
+endif
 
 bench: .venv/installed-test
 	$(BIN)/python tests/benchmarks/run.py
