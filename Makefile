@@ -15,7 +15,11 @@ XLA_LIGHT := --xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=fa
 test: .venv/installed-test
 	XLA_FLAGS="$(XLA_LIGHT)" $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
+# With the study data, also what the tables compare with.
 study: .venv/installed-test
+ifdef POSTERIOR_DATA
+	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[baselines]'
+endif
 	$(BIN)/python -m pytest -m slow --durations=0 -s
 ifdef POSTERIOR_DATA
 	$(BIN)/posterior study denoising --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/study

@@ -143,8 +143,8 @@ def _located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
         if not path.is_file():
             raise FileNotFoundError(f"no file {path}: give the path of a .safetensors file")
         return path
-    stem = f"{name}-{perturbation}-{kind}.safetensors"
-    for path in (FOLDER / stem, Path(stem)):
+    file = f"{name}-{perturbation}-{kind}.safetensors"
+    for path in (FOLDER / file, Path(file)):
         if path.exists():
             return path
     raise ValueError(
