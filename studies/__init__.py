@@ -1,8 +1,28 @@
 """Systems side by side: every method on the same recordings, with quality, calibration and cost."""
 
-from .denoising import SYSTEMS, Denoising
+from .denoising import Denoising
 from .harness import Answer, measure
+from .measured import Captures, Measured, names_of, read_captures
+from .measured_report import judged_capture, left_over, measured_table, model_table
 from .pictures import held_out
 from .report import as_table, judged, picture
+from .systems import SYSTEMS
 
-__all__ = ["SYSTEMS", "Answer", "Denoising", "as_table", "held_out", "judged", "measure", "picture"]
+__all__ = [
+    "SYSTEMS",
+    "Answer",
+    "Captures",
+    "Denoising",
+    "Measured",
+    "as_table",
+    "held_out",
+    "judged",
+    "judged_capture",
+    "left_over",
+    "measure",
+    "measured_table",
+    "model_table",
+    "names_of",
+    "picture",
+    "read_captures",
+]

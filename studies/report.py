@@ -6,8 +6,8 @@ from matplotlib.figure import Figure
 from ..diagnostics.coverage import coverage
 from ..diagnostics.fidelity import crps, psnr, ssim
 from ..diagnostics.spread import spread_over_error
-from .denoising import SYSTEMS
 from .harness import Answer
+from .systems import SYSTEMS
 
 LEVELS = (0.5, 0.9)
 _BLOCK = 8
@@ -79,14 +79,21 @@ def as_table(condition: str, answers: dict[str, Answer], truths: np.ndarray) -> 
         "| " + " | ".join(_HEAD) + " |",
         "|" + "---|" * len(_HEAD),
     ]
-    refused = []
     for system, answer in answers.items():
-        if answer.refusal:
-            refused.append(f"- {system}: no answer to {' '.join(answer.refusal.split())}")
-        else:
+        if not answer.refusal:
             row = _row(system, condition, judged(answer, truths))
             lines.append("| " + " | ".join(row) + " |")
-    return "\n".join([*lines, "", *refused, *([""] if refused else [])])
+    return "\n".join([*lines, "", *refusals(answers)])
+
+
+def refusals(answers: dict[str, Answer]) -> list[str]:
+    """A line for each system that did not answer, and why; an empty one after them."""
+    lines = [
+        f"- {system}: no answer to {' '.join(answer.refusal.split())}"
+        for system, answer in answers.items()
+        if answer.refusal
+    ]
+    return [*lines, *([""] if lines else [])]
 
 
 def _row(system: str, condition: str, found: dict) -> list[str]:
@@ -100,37 +107,39 @@ def _row(system: str, condition: str, found: dict) -> list[str]:
         row += ["", f"{found['ssim']:.3f}", *[""] * 5]
     else:
         row += [f"{found['draw psnr']:.2f}", f"{found['ssim']:.3f}", f"{1000 * found['crps']:.1f}"]
-        row += [_shares(found[name]) for name in ("pixels", "blocks", "image mean")]
+        row += [shares(found[name]) for name in ("pixels", "blocks", "image mean")]
         row += [f"{found['spread']:.2f}"]
     return [*row, f"{found['seconds']:.2g}", f"{found['memory']:.0f}"]
 
 
-def _shares(found: tuple[float, ...]) -> str:
+def shares(found: tuple[float, ...]) -> str:
+    """Coverage at LEVELS in percent, with the error of the last."""
     half, _, most, error = found
     return f"{100 * half:.0f} / {100 * most:.0f} ± {100 * error:.0f}"
 
 
-def picture(answers: dict[str, dict[str, Answer]], truths: np.ndarray) -> Figure:
-    """The first truth, and the mean of each system's answer to it: a row for each condition."""
+def picture(answers: dict[str, dict[str, Answer]], truths: dict[str, np.ndarray]) -> Figure:
+    """A row for each condition: its first truth, and the mean of each system's answer to it."""
     names = list(dict.fromkeys(name for found in answers.values() for name in found))
     size = (1.5 * (len(names) + 1), 2 * len(answers))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(len(answers), len(names) + 1, squeeze=False)
     for row, (condition, found) in zip(axes, answers.items()):
-        row[0].set_ylabel(f"sigma_0 = {condition}", fontsize=8)
-        _show(row[0], truths[0], "truth")
+        truth = truths[condition]
+        row[0].set_ylabel(condition, fontsize=8)
+        _show(row[0], truth, "truth", truth.max())
         for axis, name in zip(row[1:], names):
             answer = found.get(name)
             if answer is None or answer.refusal:
                 axis.set_axis_off()
                 continue
             mean = answer.images[0].mean(axis=0)
-            _show(axis, mean, f"{name}\n{psnr(mean, truths[0]):.1f} dB")
+            _show(axis, mean, f"{name}\n{psnr(mean, truth):.1f} dB", truth.max())
     return figure
 
 
-def _show(axis, image: np.ndarray, title: str) -> None:  # noqa: ANN001
-    axis.imshow(np.clip(image, 0, 1), cmap="gray", vmin=0, vmax=1)
+def _show(axis, image: np.ndarray, title: str, white: float) -> None:  # noqa: ANN001
+    axis.imshow(np.clip(image / white, 0, 1), cmap="gray", vmin=0, vmax=1)
     axis.set_title(title, fontsize=7)
     axis.set_xticks([])
     axis.set_yticks([])

@@ -25,7 +25,7 @@ app.command("sample")(sample.command)
 app.command("repeat")(repeat.command)
 app.command("train")(train.command)
 app.command("certify")(certify.command)
-app.command("study")(study.command)
+app.add_typer(study.app, name="study")
 app.command("gallery")(gallery.command)
 app.command("demo")(demo.command)
 

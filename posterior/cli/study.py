@@ -2,73 +2,167 @@
 
 import contextlib
 import hashlib
+from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from ..files import replace_whole
 from ..models.camera import Poisson
 from ..models.priors.perturbation import PERTURBATIONS
 from ..models.priors.storage import card_of
-from ..studies import SYSTEMS, Answer, Denoising, as_table, held_out, measure, picture
+from ..studies import (
+    SYSTEMS,
+    Answer,
+    Denoising,
+    Measured,
+    as_table,
+    held_out,
+    measure,
+    measured_table,
+    model_table,
+    names_of,
+    picture,
+    read_captures,
+)
 from ..studies.denoising import electrons
 from .options import Quiet
 
-_STUDIES = ("denoising",)
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
 
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Compare systems on the same recordings; a study that was stopped goes on.",
+)
 
-def command(
-    study: Annotated[str, typer.Argument(help=f"One of {', '.join(_STUDIES)}.")],
+Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
+Prior = Annotated[
+    str, typer.Option(help="Shipped weights, or paths up to -gaussian-score.safetensors.")
+]
+Systems = Annotated[
+    list[str] | None,
+    typer.Option("--system", help=f"One of {'; '.join(SYSTEMS)}; unsaid: all."),
+]
+Pictures = Annotated[int, typer.Option(help="2 or more.")]
+Size = Annotated[int, typer.Option(help="Side of the square patches.")]
+Draws = Annotated[int, typer.Option(help="Of each system that samples, 2 or more.")]
+Seed = Annotated[int, typer.Option(help="Same seed, same recordings and draws.")]
+
+# What a study found so far: answers of its systems, by condition.
+Found = dict[str, dict[str, Answer]]
+
+
+@app.command("denoising")
+def denoising(
     data: Annotated[Path, typer.Option(help="Folder of the pictures that the prior's card lists.")],
-    out: Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")],
-    prior: Annotated[
-        str, typer.Option(help="Shipped weights, or paths up to -gaussian-score.safetensors.")
-    ] = "nuclei",
+    out: Out,
+    prior: Prior = "nuclei",
     sigma: Annotated[
         list[str], typer.Option(help="Noise over full light; may be repeated.")
     ] = list(_SIGMAS),  # noqa: B006
-    system: Annotated[
-        list[str] | None, typer.Option(help=f"One of {'; '.join(SYSTEMS)}; unsaid: all.")
-    ] = None,
-    pictures: Annotated[int, typer.Option(help="2 or more.")] = 16,
+    system: Systems = None,
+    pictures: Pictures = 16,
     part: Annotated[str, typer.Option(help="test, or validation to choose settings on.")] = "test",
-    size: Annotated[int, typer.Option(help="Side of the square patches.")] = 64,
-    draws: Annotated[int, typer.Option(help="Of each system that samples, 2 or more.")] = 16,
+    size: Size = 64,
+    draws: Draws = 16,
     bits: Annotated[int, typer.Option(help="Of the ADC; 0: whole counts.")] = 8,
-    seed: Annotated[int, typer.Option(help="Same seed, same recordings and draws.")] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Compare systems on pictures with a known truth; a study that was stopped goes on."""
-    if study not in _STUDIES:
-        raise ValueError(f"unknown study {study!r}: use {', '.join(_STUDIES)}")
+    """Pictures with a known truth, recorded with true Poisson counts and an ADC."""
+    names = _checked(system, pictures, draws)
+    if part not in ("test", "validation"):
+        raise ValueError(f"--part {part}: give test or validation")
+    for value in sigma:
+        Poisson(electrons(value), bits or None)
+    truths = held_out(card_of(prior), data, part, pictures, size)
+    identity = {
+        "study": "denoising", "weights": _weights(prior), "part": part, "size": size,
+        "draws": draws, "bits": bits, "seed": seed, "first": _hash(truths[0]),
+    }  # fmt: skip
+    work = Denoising(truths, prior, bits or None, draws, seed)
+
+    def write(found: Found) -> None:
+        text = "\n".join(as_table(value, answers, truths) for value, answers in found.items())
+        shown = {f"sigma_0 = {value}": answers for value, answers in found.items()}
+        _write(out, text, shown, dict.fromkeys(shown, truths[0]))
+
+    _run(out, dict.fromkeys(sigma, identity), names, pictures, work, write, quiet)
+
+
+@app.command("measured")
+def measured(
+    data: Annotated[Path, typer.Option(help="Folder with raw/FIELD_*.png and gt/FIELD_1.png.")],
+    out: Out,
+    field: Annotated[
+        list[str] | None, typer.Option(help="Name of a field; may be repeated; unsaid: all.")
+    ] = None,
+    prior: Prior = "cells",
+    system: Systems = None,
+    pictures: Annotated[int, typer.Option(help="Patches of each field, 2 or more.")] = 8,
+    size: Size = 64,
+    draws: Draws = 16,
+    frames: Annotated[int, typer.Option(help="Captures in the average, these among them.")] = 50,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Captures of a real field, beside the average of many; the camera is estimated from them."""
+    names = _checked(system, pictures, draws)
+    card_of(prior)
+    fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
+    work = Measured(fields, prior, size, draws, seed)
+    for name in fields:
+        work.truth(name, 0, scaled=True)
+    identity = {
+        "study": "measured", "weights": _weights(prior), "size": size, "draws": draws, "seed": seed,
+    }  # fmt: skip
+    identities = {name: {**identity, "captures": _hash(fields[name].captures)} for name in fields}
+
+    def write(found: Found) -> None:
+        tables = [measured_table(work, name, answers) for name, answers in found.items()]
+        shown = {
+            name: {system: _in_grey(fields[name], answer) for system, answer in answers.items()}
+            for name, answers in found.items()
+        }
+        truths = {name: work.truth(name, 0, scaled=True) for name in shown}
+        _write(out, "\n".join([model_table(fields), *tables]), shown, truths)
+
+    _run(out, identities, names, pictures, work, write, quiet)
+
+
+def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:
     names = system or list(SYSTEMS)
     for name in names:
         if name not in SYSTEMS:
             raise ValueError(f"unknown system {name!r}: use one of {'; '.join(SYSTEMS)}")
     if min(pictures, draws) < 2:
         raise ValueError(f"--pictures {pictures}, --draws {draws}: give 2 or more of both")
-    if part not in ("test", "validation"):
-        raise ValueError(f"--part {part}: give test or validation")
-    for value in sigma:
-        Poisson(electrons(value), bits or None)
-    card = card_of(prior)
-    truths = held_out(card, data, part, pictures, size)
-    work = Denoising(truths, prior, bits or None, draws, seed)
-    identity = {
-        "study": study, "weights": _weights(prior), "part": part, "size": size, "draws": draws,
-        "bits": bits, "seed": seed, "first": hashlib.sha256(truths[0].tobytes()).hexdigest(),
-    }  # fmt: skip
-    found: dict[str, dict[str, Answer]] = {value: {} for value in sigma}
-    for name, value, done, answer in measure(
-        out / "answers", identity, names, list(sigma), pictures, work
-    ):
+    return names
+
+
+def _run(
+    out: Path, identities: dict[str, dict[str, object]], systems: list[str], count: int,
+    work: Callable[[str, str, int], np.ndarray], write: Callable[[Found], None], quiet: bool,
+) -> None:  # fmt: skip
+    """Every system on every recording of the conditions that `identities` names.
+
+    Table and picture are written as answers come in.
+    """
+    found: Found = {}
+    answers = chain.from_iterable(
+        measure(out / "answers", identity, systems, [condition], count, work)
+        for condition, identity in identities.items()
+    )
+    for name, condition, done, answer in answers:
         if not quiet and answer is None:
-            print(f"sigma_0 = {value}, {name}: {done} of {pictures}", flush=True)
+            print(f"{condition}, {name}: {done} of {count}", flush=True)
         if answer is not None:
-            found[value][name] = answer
-            _write(out, found, truths)
+            found.setdefault(condition, {})[name] = answer
+            write(found)
     print((out / "study.md").read_text(encoding="utf-8"), end="")
 
 
@@ -81,9 +175,15 @@ def _weights(prior: str) -> dict[str, str]:
     return found
 
 
-def _write(out: Path, found: dict[str, dict[str, Answer]], truths) -> None:  # noqa: ANN001
-    there = {value: answers for value, answers in found.items() if answers}
-    text = "\n".join(as_table(value, answers, truths) for value, answers in there.items())
+def _hash(array: np.ndarray) -> str:
+    return hashlib.sha256(array.tobytes()).hexdigest()
+
+
+def _in_grey(field, answer: Answer) -> Answer:  # noqa: ANN001
+    return answer if answer.refusal else answer._replace(images=field.to_grey(answer.images))
+
+
+def _write(out: Path, text: str, found: Found, truths: dict[str, np.ndarray]) -> None:
     replace_whole(out / "study.md", lambda p: Path(p).write_text(text, encoding="utf-8"))
-    figure = picture(there, truths)
+    figure = picture(found, truths)
     replace_whole(out / "study.png", lambda p: figure.savefig(p, dpi=150, format="png"))
