@@ -115,7 +115,7 @@ class Measured(NamedTuple):
         """
         recording, field = self.recording(condition, index), self.fields[condition]
         others, well = field.frames - 1, recording.camera.full_well
-        rng = np.random.default_rng((self.seed, index))
+        rng = np.random.default_rng((self.seed, index, 1))
         light = np.maximum(images, 0)
         noise = np.sqrt(light * others / well) * rng.standard_normal(images.shape)
         return field.to_grey((np.asarray(recording.y) + others * images + noise) / field.frames)
