@@ -6,5 +6,6 @@ from .half_samples import half_samples
 from .hio import Retrieved, hio
 from .mmse import mmse
 from .photon_transfer import PhotonTransfer, photon_transfer
+from .prdeep import prdeep
 from .quasi_newton import Optimum, default_start, maximum_likelihood, maximum_posterior
 from .red import Regularised, red

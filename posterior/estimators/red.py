@@ -68,17 +68,17 @@ def red(
         raise ValueError(
             f"the prior has the {prior.perturbation!r} perturbation: give one with the gaussian"
         )
-    level = _positive("level", level)
+    level = positive("level", level)
     if weight is None:
         weight = 1 / component_sd(level, prior.complex_valued) ** 2
-    weight = _positive("weight", weight)
+    weight = positive("weight", weight)
     if operator.index(iterations) < 1:
         raise ValueError(f"iterations {iterations}: give a whole number, 1 or more")
     real = posterior.y.real.dtype
     return _iterated(posterior, jnp.asarray(level, real), jnp.asarray(weight, real), iterations)
 
 
-def _positive(name: str, value: float) -> float:
+def positive(name: str, value: float) -> float:
     """The number, if single precision holds it and its square."""
     value = float(value)
     if not math.sqrt(_TINY) < value < 1 / math.sqrt(_TINY):
