@@ -23,6 +23,7 @@ endif
 	$(BIN)/python -m pytest -m slow --durations=0 -s
 ifdef POSTERIOR_DATA
 	$(BIN)/posterior study denoising --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/study
+	$(BIN)/posterior study measured --data "$(POSTERIOR_DATA)/fmd" --out out/measured
 endif
 
 bench: .venv/installed-test
