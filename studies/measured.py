@@ -50,6 +50,11 @@ class Captures(NamedTuple):
         photons = images * self.camera.full_well
         return (self.transfer.offset + self.transfer.gain * photons) / WHITE
 
+    def to_object(self, images: np.ndarray) -> np.ndarray:
+        """Shares of white as light in units of the camera's full well, 0 or more."""
+        photons = (images * WHITE - self.transfer.offset) / self.transfer.gain
+        return np.maximum(photons, 0) / self.camera.full_well
+
     def light(self, index: int) -> float:
         """Of a capture over that of the average: lamps and scanners are not steady."""
         dark = self.transfer.offset
@@ -78,6 +83,9 @@ class Measured(NamedTuple):
 
     A condition is the name of a field. Patch i is cut from capture i, i + 1 starting again with the
     first, where of eight places the average has the most contrast. Callable as the harness wants.
+
+    `simulated`: a control, in which the camera's model draws the counts from the average; what is
+    off there is the prior or the system, and not the noise.
     """
 
     fields: dict[str, Captures]
@@ -85,6 +93,7 @@ class Measured(NamedTuple):
     side: int
     draws: int
     seed: int
+    simulated: bool = False
 
     def __call__(self, system: str, condition: str, index: int) -> np.ndarray:
         return np.asarray(SYSTEMS[system].answer(self.recording(condition, index)))
@@ -92,27 +101,33 @@ class Measured(NamedTuple):
     def recording(self, condition: str, index: int) -> Recording:
         """Of one patch: the same for every system."""
         field = self.fields[condition]
-        capture = field.captures[index % len(field.captures)]
-        counts = self._cut(condition, index, field.photons(capture))
-        camera = field.camera
-        y = np.minimum(counts, camera.full_well).astype(np.float32) / camera.full_well
-        key = jax.random.fold_in(jax.random.key(self.seed), index)
+        camera, key = field.camera, jax.random.fold_in(jax.random.key(self.seed), index)
+        if self.simulated:
+            key, key_data = jax.random.split(key)
+            light = field.to_object(self.truth(condition, index, scaled=False))
+            y = camera.sample(key_data, jnp.asarray(light, jnp.float32))
+        else:
+            capture = field.captures[index % len(field.captures)]
+            counts = self._cut(condition, index, field.photons(capture))
+            y = np.minimum(counts, camera.full_well).astype(np.float32) / camera.full_well
         return Recording(jnp.asarray(y), camera, self.prior, key, self.draws)
 
     def truth(self, condition: str, index: int, scaled: bool) -> np.ndarray:
         """The average there (side, side), as a share of white; `scaled` to the capture's light."""
         field = self.fields[condition]
-        return (
-            self._cut(condition, index, field.expected(index % len(field.captures), scaled)) / WHITE
-        )
+        scaled = scaled and not self.simulated
+        expected = field.expected(index % len(field.captures), scaled)
+        return self._cut(condition, index, expected) / WHITE
 
     def predicted(self, condition: str, index: int, images: np.ndarray) -> np.ndarray:
         """Averages, as shares of white, that draws (draws, side, side) of a patch foretell.
 
         The average has an error of its own, and the capture is one of its `frames`: given the
         object it is the capture / frames plus the mean of the other frames. Approximation: their
-        sum as normal, and their light as this capture's.
+        sum as normal, and their light as this capture's. A simulated recording is of the average.
         """
+        if self.simulated:
+            return self.fields[condition].to_grey(images)
         recording, field = self.recording(condition, index), self.fields[condition]
         others, well = field.frames - 1, recording.camera.full_well
         rng = np.random.default_rng((self.seed, index, 1))

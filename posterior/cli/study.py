@@ -108,17 +108,21 @@ def measured(
     draws: Draws = 16,
     frames: Annotated[int, typer.Option(help="Captures in the average, these among them.")] = 50,
     seed: Seed = 0,
+    simulated: Annotated[
+        bool, typer.Option("--simulated", help="A control: the model's counts of the average.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Captures of a real field, beside the average of many; the camera is estimated from them."""
     names = _checked(system, pictures, draws)
     card_of(prior)
     fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
-    work = Measured(fields, prior, size, draws, seed)
+    work = Measured(fields, prior, size, draws, seed, simulated)
     for name in fields:
         work.truth(name, 0, scaled=True)
     identity = {
         "study": "measured", "weights": _weights(prior), "size": size, "draws": draws, "seed": seed,
+        "simulated": simulated,
     }  # fmt: skip
     identities = {name: {**identity, "captures": _hash(fields[name].captures)} for name in fields}
 

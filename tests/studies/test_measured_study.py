@@ -96,6 +96,24 @@ def test_draws_that_are_taken_for_the_average_miss_it(fields):
     assert abs((foretold.mean(axis=1) - truths).mean()) < 5 * grey.std() / np.sqrt(truths.size)
 
 
+def test_a_control_is_of_the_average_and_of_the_cameras_own_noise(fields):
+    study = study_of(fields)._replace(simulated=True)
+    total, error = 0.0, 0.0
+    for i in range(PATCHES):
+        recording = study.recording("field0", i)
+        truth = study.truth("field0", i, scaled=True)
+        np.testing.assert_array_equal(truth, study.truth("field0", i, scaled=False))
+        field, well = study.fields["field0"], recording.camera.full_well
+        light = field.to_object(truth) * well
+        np.testing.assert_allclose(field.to_grey(light / well), truth)
+        total += ((np.asarray(recording.y) * well - light) ** 2 - light).sum()
+        error += (2 * light**2 + light).sum()
+        recording.camera.check(np.asarray(recording.y))
+    assert abs(total) < 4 * np.sqrt(error)
+    images = np.asarray(recording.y)[None]
+    np.testing.assert_array_equal(study.predicted("field0", 0, images), field.to_grey(images))
+
+
 def test_the_light_of_a_capture_is_found_and_taken_out():
     rng = np.random.default_rng(2)
     light = 3 + 9 * np.kron(rng.uniform(size=(12, 12)), np.ones((8, 8)))
