@@ -66,7 +66,8 @@ def test_the_posterior_mean_beats_prdeep(alpha):
         print(
             f"\nalpha {alpha}, {name}: hybrid input-output {alone:.1f} dB, from it prDeep "
             f"{ours:.1f}, a draw {found[-1][2]:.1f}, mean of {DRAWS} {found[-1][3]:.1f}; "
-            f"spread over error {spread_over_error(aligned[None], truth[None]):.2f}; nats above the truth {nats:.0f}",
+            f"spread over error {spread_over_error(aligned[None], truth[None]):.2f}; "
+            f"nats above the truth {nats:.0f}",
             flush=True,
         )
     alone, ours, draw, mean = np.mean(found, axis=0)
