@@ -87,7 +87,7 @@ class Denoiser(eqx.Module):
         centred = x - mean
         trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
         level = jnp.log(self.channel_sd(trained) / sd)
-        raw = self.network(centred / jnp.sqrt(total), level)
+        raw = self.network(centred / jnp.sqrt(total), level).astype(x.dtype)
         return mean + variance / total * centred + s * sd / jnp.sqrt(total) * raw
 
     def loss_weight(self, sigma: jax.Array) -> jax.Array:

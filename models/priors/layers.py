@@ -26,8 +26,9 @@ class Conv(eqx.Module):
     trained: bool = eqx.field(static=True, default=True)
 
     def __call__(self, x: jax.Array) -> jax.Array:
-        """The image convolved."""
+        """The image convolved, in the precision of the weights."""
         convolve = _convolve if self.trained else _convolve_both_ways
+        x = x.astype(self.kernel.dtype)
         return convolve(x[None], self.kernel, self.dilation)[0] + self.bias
 
 
@@ -53,6 +54,24 @@ def frozen(module: eqx.Module) -> eqx.Module:
         return dataclasses.replace(node, trained=False) if isinstance(node, Conv) else node
 
     return jax.tree.map(freeze, module, is_leaf=lambda node: isinstance(node, Conv))
+
+
+def in_precision(module: eqx.Module, dtype: str) -> eqx.Module:
+    """The same network with its bulk computed in `dtype`, such as "bfloat16".
+
+    Convolutions, and what the noise level does to their features; the level's own embedding, whose
+    angles bfloat16 would round by more than levels differ, and normalisation keep their precision.
+    """
+
+    def is_layer(node: object) -> bool:
+        return isinstance(node, Conv | Linear | LevelEmbedding)
+
+    def cast(node: object) -> object:
+        if not isinstance(node, Conv | Linear):
+            return node
+        return jax.tree.map(lambda a: a.astype(dtype), node)
+
+    return jax.tree.map(cast, module, is_leaf=is_layer)
 
 
 def _convolve(x: jax.Array, kernel: jax.Array, dilation: int) -> jax.Array:
@@ -106,8 +125,8 @@ class Linear(eqx.Module):
         self.bias = jnp.zeros(size_out, jnp.float32)
 
     def __call__(self, x: jax.Array) -> jax.Array:
-        """The vector transformed."""
-        return x @ self.weight + self.bias
+        """The vector transformed, in the precision of the weights."""
+        return x.astype(self.weight.dtype) @ self.weight + self.bias
 
 
 class LevelEmbedding(eqx.Module):

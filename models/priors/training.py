@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import optax
 
 from .denoiser import Denoiser
+from .layers import in_precision
 from .learned import energy
 from .perturbation import count_loss, denoising_loss, perturbed, signal_score_loss
 from .pictures import SYMMETRIES, Pictures
 
 KINDS = ("score", "energy")
+PRECISIONS = ("float32", "bfloat16")
 
 # The share of training levels that is spread evenly over all of them; the rest is near the level
 # of the picture's own contrast times _CENTRE, where denoising is hardest to learn.
@@ -30,7 +32,9 @@ class Recipe:
 
     `size`: patch side in pixels; `rate`: Adam's, warmed up and brought to zero along a cosine;
     `average`: decay of the moving average of the weights that is kept; `clip`: largest norm of a
-    gradient; `symmetry`: what a patch may be turned by, one of `SYMMETRIES`.
+    gradient; `symmetry`: what a patch may be turned by, one of `SYMMETRIES`; `precision`: of the
+    network's convolutions, one of `PRECISIONS`. Weights, their average, the loss and Adam are
+    float32 either way; bfloat16 pays on accelerators that have units for it.
     """
 
     kind: str = "score"
@@ -42,6 +46,7 @@ class Recipe:
     clip: float = 1.0
     seed: int = 0
     symmetry: str = "square"
+    precision: str = "float32"
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -49,6 +54,10 @@ class Recipe:
         if self.symmetry not in SYMMETRIES:
             known = ", ".join(SYMMETRIES)
             raise ValueError(f"unknown symmetry {self.symmetry!r}: use one of {known}")
+        if self.precision not in PRECISIONS:
+            raise ValueError(
+                f"unknown precision {self.precision!r}: use {' or '.join(PRECISIONS)}"
+            )
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
@@ -97,6 +106,8 @@ def train_steps(
         def loss(weights: Denoiser) -> jax.Array:
             keys = jax.random.split(jax.random.fold_in(key, state.step), recipe.batch)
             denoiser = eqx.combine(weights, structure)
+            if recipe.precision != "float32":
+                denoiser = in_precision(denoiser, recipe.precision)
             losses = jax.vmap(lambda key: patch_loss(denoiser, key, pictures, recipe))(keys)
             return jnp.mean(losses)
 

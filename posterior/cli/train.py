@@ -17,7 +17,7 @@ from ..models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
 from ..models.priors.perturbation import PERTURBATIONS, check_perturbation
 from ..models.priors.pictures import SYMMETRIES
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
-from ..models.priors.training import Recipe
+from ..models.priors.training import PRECISIONS, Recipe
 from ..train import (
     HOLD_OUT,
     OBJECTS,
@@ -55,6 +55,9 @@ def command(
         str, typer.Option(help=f"Patches are also turned: one of {', '.join(SYMMETRIES)}.")
     ] = "square",
     rate: Annotated[float, typer.Option(help="Learning rate at its highest.")] = 2e-3,
+    precision: Annotated[
+        str, typer.Option(help=f"Of the convolutions: {' or '.join(PRECISIONS)} (accelerators).")
+    ] = "float32",
     network: Annotated[str, typer.Option(help="unet, or ncsnv2.")] = "unet",
     widths: Annotated[str, typer.Option(help="Channels of each level.")] = "32,64,96",
     blocks: Annotated[int, typer.Option(help="Residual blocks a level.")] = 1,
@@ -79,7 +82,9 @@ def command(
         raise ValueError("--kind energy: counts have no density to learn, use --kind score")
     least = floor if perturbation == "signal" else 0.0
     how = Preparation(objects, percentile, least, group, validation, test, hold_out, crop, resize)
-    recipe = Recipe(kind, steps, batch, size, rate, seed=seed, symmetry=symmetry)
+    recipe = Recipe(
+        kind, steps, batch, size, rate, seed=seed, symmetry=symmetry, precision=precision
+    )
     folder = _data_folder(data)
     files = {p.name: p for p in picture_files(folder)}
     split = split_names(list(files), validation, test, group, hold_out)

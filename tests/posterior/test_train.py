@@ -154,6 +154,21 @@ def test_training_goes_on_bit_for_bit(tmp_path, monkeypatch, kind):
         training.train(denoiser, stripes(), other, tmp_path / "run")
 
 
+def test_half_precision_has_the_same_loss_within_its_rounding():
+    """bfloat16 has 8 bits: each loss is off by less than 2^-8 of it, the weights stay float32."""
+    denoiser = fresh(Statistics(0.5, 0.28, 0.01, 5.0))
+    losses, weights = {}, {}
+    for precision in ("float32", "bfloat16"):
+        recipe = Recipe(steps=4, batch=4, size=8, precision=precision)
+        trained, losses[precision], _ = training.train(denoiser, stripes(), recipe)
+        weights[precision] = weights_of(trained)
+    off = losses["bfloat16"] / losses["float32"] - 1
+    assert np.any(off != 0) and np.all(np.abs(off) < 2**-8), off
+    assert all(w.dtype == np.float32 for w in weights["bfloat16"])
+    with pytest.raises(ValueError, match="float16.*use float32 or bfloat16"):
+        Recipe(precision="float16")
+
+
 def test_levels_are_within_the_trained_ones_and_reach_both_ends():
     for statistics in (
         Statistics(0.2, 0.2, 0.002, 8.0),
