@@ -2,7 +2,8 @@
 
 A study: it needs the pictures (POSTERIOR_DATA), BM3D, and an hour. NUCLEI_PATCHES and NUCLEI_DRAWS
 make it smaller; NUCLEI_PART=validation looks at the pictures that settings were chosen on, and not
-at those of the test; NUCLEI_SAMPLERS, names of `SAMPLERS` with commas between, makes the table.
+at those of the test; NUCLEI_SAMPLERS, names of `SAMPLERS` with commas between, makes the table;
+NUCLEI_PRIOR=nuclei-large asks the larger networks.
 """
 
 import os
@@ -31,6 +32,7 @@ pytestmark = [
 PATCHES = int(os.environ.get("NUCLEI_PATCHES", 64))
 DRAWS = int(os.environ.get("NUCLEI_DRAWS", 64))
 PART = os.environ.get("NUCLEI_PART", "test")
+PRIOR = os.environ.get("NUCLEI_PRIOR", "nuclei")
 ASKED = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
 # Name in the table: name of the sampler, and perturbation of the prior.
 SAMPLERS = {
@@ -50,7 +52,7 @@ SIDE, BATCH = 64, 16
 def patches():
     """(n, 64, 64), one of each picture: of eight random places the one with the most contrast."""
     folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
-    return held_out(card_of("nuclei"), folder, PART, PATCHES, SIDE)
+    return held_out(card_of(PRIOR), folder, PART, PATCHES, SIDE)
 
 
 def within_grey_levels(pictures):
@@ -97,7 +99,7 @@ def drawn(truth, full_well, sampler):
     camera = models.Poisson(full_well)
     likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
     sampler, perturbation = SAMPLERS[sampler]
-    prior = models.ScorePrior.load("nuclei", (SIDE, SIDE), perturbation)
+    prior = models.ScorePrior.load(PRIOR, (SIDE, SIDE), perturbation)
     problem = ps.Problem(likelihood, prior)
     y = np.stack([camera.sample(jax.random.key(i), jnp.asarray(x)) for i, x in enumerate(truth)])
     found, began = [], time.perf_counter()
@@ -130,7 +132,7 @@ def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
     bm3d = pytest.importorskip("bm3d").bm3d
     y, draws, seconds = drawn(patches, full_well, sampler)
     camera = models.Poisson(full_well)
-    counts = models.ScorePrior.load("nuclei", (SIDE, SIDE), "poisson")
+    counts = models.ScorePrior.load(PRIOR, (SIDE, SIDE), "poisson")
     direct = jax.jit(jax.vmap(lambda z: counts.denoise(z, camera.sigma0)))
     quality = {
         "data": y,
@@ -140,7 +142,7 @@ def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
         "network of counts": np.asarray(direct(y)),
     }
     quality = {name: mean_psnr(found, patches) for name, found in quality.items()}
-    print(f"\nnuclei, {PART}, {sampler}, full well {full_well}: {draws.shape[:2]} patches, draws")
+    print(f"\n{PRIOR}, {PART}, {sampler}, full well {full_well}: {draws.shape[:2]} patches, draws")
     print({k: round(v, 2) for k, v in quality.items()}, f"dB, {seconds:.2f} s a draw")
     ratio = spread_over_error(draws, patches)
     print(f"spread over error {ratio:.3f}")
