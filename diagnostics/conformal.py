@@ -83,7 +83,8 @@ def widened(values: np.ndarray, repair: Repair) -> tuple[np.ndarray, np.ndarray]
 
 def _needed_factors(draws: np.ndarray, truths: np.ndarray, level: float) -> np.ndarray:
     """By what the interval of each pixel must be widened to hold its truth, (n, pixels)."""
-    low, middle, high = np.quantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=1)
+    ends = (1 - level) / 2, 0.5, (1 + level) / 2
+    low, middle, high = np.quantile(draws, ends, axis=1, method="weibull")
     side = np.where(truths > middle, high - middle, middle - low)
     off = np.abs(truths - middle)
     if np.any((side == 0) & (off > 0)):

@@ -4,16 +4,23 @@ import numpy as np
 
 
 def interval(values: np.ndarray, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper end of the central interval that holds `level` of the draws."""
+    """Lower and upper end of the central interval that holds the truth at `level`.
+
+    Ends at the ranks p (n + 1) of n draws (Weibull's rule): a truth that is one draw more lies
+    between them with probability `level`, exactly where the ranks are whole (else interpolated:
+    91 % for 90 % of 32 normal draws; quantiles of the draws themselves hold 84 %). Fewer than
+    2/(1 - level) - 1 draws, 19 at 90 %, hold (n - 1)/(n + 1) at most: the ends are then the least
+    and the largest.
+    """
     if not 0 < level < 1:
         raise ValueError(f"level {level}: it must lie between 0 and 1")
-    flat = _flat(values)
-    low, high = np.quantile(flat, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    ends = (1 - level) / 2, (1 + level) / 2
+    low, high = np.quantile(_flat(values), ends, axis=0, method="weibull")
     return low, high
 
 
 def interval_width(values: np.ndarray, level: float = 0.9) -> np.ndarray:
-    """Width of the central interval that holds `level` of the draws."""
+    """Width of that interval."""
     low, high = interval(values, level)
     return high - low
 
