@@ -55,9 +55,7 @@ class Recipe:
             known = ", ".join(SYMMETRIES)
             raise ValueError(f"unknown symmetry {self.symmetry!r}: use one of {known}")
         if self.precision not in PRECISIONS:
-            raise ValueError(
-                f"unknown precision {self.precision!r}: use {' or '.join(PRECISIONS)}"
-            )
+            raise ValueError(f"unknown precision {self.precision!r}: use {' or '.join(PRECISIONS)}")
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
