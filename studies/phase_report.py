@@ -45,7 +45,7 @@ def judged_phases(
     """Figures of an answer; fidelity of the mean of the draws, after `aligned`.
 
     "psnr": mean over pictures, of each the mean over its seeds; "sd": over pictures (nan of one).
-    "misfit": squared residuals of the recording over its noise, of draws as they were found.
+    "misfit": `Recording.misfit` of the draws as they were found.
     "seconds": of a picture, all draws, the median. For those that sample also "draw psnr",
     coverage of pixels with its error over answers, and spread over error.
     """

@@ -29,6 +29,7 @@ from .red import positive
 # Unser 2008).
 _PROBE = 0.1
 _LEAST_SLOPE = 1e-4
+_LEAST_TOLD = 0.01  # of what fields known exactly would tell
 
 
 class Passed(NamedTuple):
@@ -137,7 +138,9 @@ def _step(
     told = state.told + take * ((1 - spread / reached) / reached - state.told)
     damped = state.damped + take * (x - state.damped)
     # Of the object, complex, as the fields show it: both parts of the field tell of a real one.
-    seen = x.size / jnp.maximum(jnp.sum(power * told), jnp.finfo(told.dtype).tiny)
+    # Amplitudes that surprise make the field less certain than before: without a bound all may.
+    least = _LEAST_TOLD * jnp.sum(power / reached)
+    seen = x.size / jnp.maximum(jnp.sum(power * told), least)
     sd = jnp.maximum(jnp.sqrt(times * seen / 2), finest)
     shown = damped + problem.to_object(seen * dual, x)
     clean, slope = _denoised(key, denoise, shown, sd)

@@ -5,7 +5,6 @@ import pytest
 from PIL import Image
 
 from posterior.cli import main
-from posterior.diagnostics import misfit
 from posterior.diagnostics.fidelity import psnr
 from posterior.models.priors.storage import card_of
 from posterior.studies import (
@@ -83,15 +82,24 @@ def test_every_system_sees_the_same_recording(truths):
     np.testing.assert_array_equal(recording.by_hio(), work("HIO", "2-prdeep", 1)[0])
 
 
-@pytest.mark.parametrize("condition", ["2-prdeep", "4-poisson", "2-poisson-12"])
-def test_the_misfit_is_the_one_of_the_diagnostics(truths, condition):
-    recording = study(truths).recording(condition, 0)
-    objects = np.stack([truths[0], truths[1]])
-    found = misfit(recording.likelihood, recording.y, objects)
-    np.testing.assert_allclose(recording.misfit(objects), found, rtol=1e-3)
-    if condition == "2-prdeep":
-        # Of the truth, the mean square of 4 SIDE^2 normal noises, clipped where light is scarce.
-        assert 0.5 < recording.misfit(truths[:1]) < 1 + 4 * np.sqrt(2 / (4 * SIDE**2))
+@pytest.mark.parametrize("condition", ["0.5-prdeep", "0.5-poisson", "0.2-poisson-16"])
+def test_the_misfit_of_the_truth_is_one_and_of_others_more(truths, condition):
+    work, found = study(truths), []
+    for index in range(0, 40, 2):
+        found.append(work.recording(condition, index).misfit(truths[:1]))
+    recording = work.recording(condition, 0)
+    electrons = intensities(truths[0]) / Condition.of(condition).electron
+    step = recording.full_well / (2**recording.bits - 1) if recording.bits else 0
+    seen = 20 * np.sum(electrons >= max(10, step**2 / 12))
+    # The root of a count of 10 has 5 % more than a quarter of variance, of more counts less.
+    assert -4 * np.sqrt(2 / seen) - 0.01 < np.mean(found) - 1 < 4 * np.sqrt(2 / seen) + 0.06
+    assert recording.misfit(truths[:1] + 0.1) > 2
+    turned = truths[:1, ::-1, ::-1]
+    np.testing.assert_allclose(recording.misfit(turned), recording.misfit(truths[:1]), rtol=1e-4)
+
+
+def test_where_nothing_is_left_there_is_no_misfit(truths):
+    assert np.isnan(study(truths).recording("2-poisson-8", 0).misfit(0 * truths))
 
 
 @pytest.mark.parametrize(
