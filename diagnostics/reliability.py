@@ -24,20 +24,21 @@ class Reliability(NamedTuple):
 def reliability(draws: np.ndarray, truths: np.ndarray, bins: int = 10) -> Reliability:
     """Of `draws` (n, L, *shape) of n posteriors and their `truths` (n, *shape), real or complex.
 
-    Bins hold as many pixels each. The variance of few draws is itself noisy, and where it is large
-    it is so by chance too: of L draws the lowest bins state too little and the highest too much,
-    also for exact draws, so that `spread_over_error` is the fairer sum. Raises ValueError for fewer
-    than 2 draws, or fewer pixels than bins.
+    Bins hold as many pixels each. Pixels are sorted by the variance of the first half of the draws,
+    and `stated` is that of the second: a variance of few draws is large by chance too, and what was
+    chosen for it would state too much. Raises ValueError for fewer than 4 draws, or fewer pixels
+    than bins.
     """
     count = draws.shape[1]
-    if count < 2 or truths.size < bins or bins < 1:
+    if count < 4 or truths.size < bins or bins < 1:
         raise ValueError(
-            f"{count} draws of {truths.size} pixels in {bins} bins: give 2 draws or more, and a "
+            f"{count} draws of {truths.size} pixels in {bins} bins: give 4 draws or more, and a "
             "pixel or more for each bin"
         )
-    # The mean of so many draws keeps a share 1 / L of their variance.
-    variance = np.ravel(draws.var(axis=1, ddof=1)) * (1 + 1 / count)
+    halves = np.split(draws, [count // 2], axis=1)
+    first, second = (np.ravel(half.var(axis=1, ddof=1)) for half in halves)
     square = np.ravel(np.abs(draws.mean(axis=1) - truths) ** 2)
-    parts = np.array_split(np.argsort(variance, kind="stable"), bins)
-    stated = np.array([variance[part].mean() for part in parts])
+    parts = np.array_split(np.argsort(first, kind="stable"), bins)
+    # The mean of so many draws keeps a share 1 / L of their variance.
+    stated = [second[part].mean() * (1 + 1 / count) for part in parts]
     return Reliability(np.sqrt(stated), np.sqrt([square[part].mean() for part in parts]))

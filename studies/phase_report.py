@@ -144,7 +144,8 @@ def protocol_notes(systems: list[str]) -> str:
 
 def variance_picture(found: dict[str, dict[str, Answer]], truth: np.ndarray) -> Figure | None:
     """Of the first answers, already `aligned`: truth, a draw, the mean, the variance of the draws
-    beside the squared error (on one scale), and the error by bins of the stated sd.
+    beside the squared error (on one scale), and the error by bins of the stated sd (of 4 draws
+    or more).
 
     A row for every condition and system with draws; None where no system sampled.
     """
@@ -180,13 +181,18 @@ def _variance_row(axes: np.ndarray, truth: np.ndarray, draws: np.ndarray) -> Non
         axis.set_title(title, fontsize=8)
         axis.set_xticks([])
         axis.set_yticks([])
-    bins = reliability(draws[None], truth[None])
-    axis = axes[-1]
+    if len(draws) < 4:
+        axes[-1].set_axis_off()
+        return
+    _reliability(axes[-1], draws[None], truth[None])
+
+
+def _reliability(axis, draws: np.ndarray, truths: np.ndarray) -> None:  # noqa: ANN001
+    bins = reliability(draws, truths)
     largest = 1.05 * max(bins.stated.max(), bins.error.max())
     axis.plot([0, largest], [0, largest], color="0.7", lw=1)
     axis.plot(bins.stated, bins.error, "o-", ms=3, lw=1)
-    whole = spread_over_error(draws[None], truth[None])
-    axis.set_title(f"error by stated sd; spread over error {whole:.2f}", fontsize=8)
+    axis.set_title(f"spread over error {spread_over_error(draws, truths):.2f}", fontsize=8)
     axis.set_xlabel("stated sd", fontsize=7)
     axis.set_ylabel("error", fontsize=7)
     axis.tick_params(labelsize=6)
