@@ -20,8 +20,8 @@ _LEAST_ELECTRONS = 10
 class Recording(NamedTuple):
     """Fourier intensities `y` (2h, 2w), normalised, of a picture of (h, w), and their camera.
 
-    `irradiance`: full wells for an intensity of 1; `seeds`: what keys are made of. Plain numbers
-    and arrays, so that whoever only judges answers holds no accelerator.
+    `irradiance`: full wells for an intensity of 1; `seeds`: what keys are made of. Numbers and
+    NumPy's arrays: whoever only judges answers computes nothing on an accelerator.
     """
 
     y: np.ndarray

@@ -73,7 +73,7 @@ def command(
     for condition in conditions:
         Condition.of(condition)
     weights = card_of(prior)["sha256"]
-    if min(draws, 2 * seeds, 2 if pictures is None else 2 * pictures) < 2 or seed < 0:
+    if draws < 2 or seeds < 1 or seed < 0 or (pictures is not None and pictures < 1):
         raise ValueError(
             f"--pictures {pictures}, --draws {draws}, --seeds {seeds}, --seed {seed}: give draws "
             "of 2 or more, pictures and seeds of 1 or more, a seed of 0 or more"
