@@ -29,6 +29,7 @@ from .predictive import misfit, predicted, predictive_ranks
 from .quantities import default_quantities
 from .rank_plot import plot_ranks
 from .ranks import randomised_ranks, thinned
+from .reliability import Reliability, reliability
 from .residuals import Check, Residuals, residual_checks
 from .sbc import Calibration, sbc
 from .score_count import score_evaluations

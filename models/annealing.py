@@ -55,7 +55,7 @@ def intensity_score(field: jax.Array, y: jax.Array, variance: jax.Array) -> jax.
     """
     amplitude = jnp.sqrt(jnp.maximum(y, 0.0))
     argument = jnp.abs(field) * amplitude / variance
-    ratio = _bessel_ratio if jnp.iscomplexobj(field) else _tanh_ratio
+    ratio = bessel_ratio if jnp.iscomplexobj(field) else _tanh_ratio
     return field * (jnp.square(amplitude) / variance * ratio(argument) - 1) / variance
 
 
@@ -92,7 +92,7 @@ def published_intensity_score(field: jax.Array, y: jax.Array, variance: jax.Arra
     """
     amplitude = jnp.sqrt(jnp.maximum(y, 0.0))
     argument = jnp.abs(field) * amplitude / variance
-    bracket = jnp.square(amplitude) / variance * _bessel_ratio(argument) - 1
+    bracket = jnp.square(amplitude) / variance * bessel_ratio(argument) - 1
     return field / (2 * variance) * bracket
 
 
@@ -123,7 +123,7 @@ def signal_score(x: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:
     return (jnp.square(y / x) - 1) / (2 * variance) - 1 / (2 * x)
 
 
-def _bessel_ratio(z: jax.Array) -> jax.Array:
+def bessel_ratio(z: jax.Array) -> jax.Array:
     """I1(z)/(z I0(z)), which is 1/2 at zero."""
     small = z < 1e-2
     safe = jnp.where(small, 1.0, z)

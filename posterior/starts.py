@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .estimators import half_samples, hio, maximum_likelihood
+from .estimators import half_samples, hio, maximum_likelihood, plug_and_play_admm
 from .models.optics import CONJUGATE_FLIP, Fourier, FourierPtychography, Optics
 from .models.priors.learned import LearnedPrior, ScorePrior
 from .problem import Posterior
@@ -17,6 +17,7 @@ from .sampling import sample
 _FIELD_SEARCH, _LEARNED_SEARCH = (16, 3), (8, 5)
 _PARENTS = 2  # candidates that have heirs
 _HIO_STARTS, _HIO_ITERATIONS = 64, 500
+_ADMM_CANDIDATES, _ADMM_LEVELS, _ADMM_ITERATIONS = 8, 6, 40
 
 
 def annealed(
@@ -68,6 +69,34 @@ def from_magnitudes(
         pool = annealed(posterior, scout, generation, len(flat), flat, progress).reshape(shape)
         pool = np.stack([_heirs(posterior, of_a_chain) for of_a_chain in pool])
     return _untwinned(pool[:, 0], posterior.likelihood.optics)
+
+
+def by_admm(posterior: Posterior, key: jax.Array, chains: int) -> np.ndarray:
+    """Starts (chains, *shape) for phase retrieval, for annealing that begins near the noise.
+
+    Of each chain the best of 8 solutions of hybrid input-output, after plug-and-play ADMM with the
+    prior's denoiser, from its own scale down to half of the noise; ranked as `from_magnitudes`
+    does. It costs a sixth of that search and, under the natural prior, ends in deeper valleys: at
+    the broad levels where annealing begins, its own noise leads astray what the denoiser mends.
+    Real objects are taken to be nonnegative, and the optics are a Fourier transform. Raises
+    ValueError as `hio` and `plug_and_play_admm` do.
+    """
+    levels = np.geomspace(
+        float(posterior.annealing_range("convolved")[0]), float(posterior.data_level()) / 2,
+        _ADMM_LEVELS,
+    )  # fmt: skip
+    found = []
+    for i in range(chains):
+        candidates = _solutions(posterior, jax.random.fold_in(key, i), _ADMM_CANDIDATES)
+        ends = [
+            plug_and_play_admm(
+                posterior.likelihood, posterior.y, o, posterior.prior, levels,
+                iterations=_ADMM_ITERATIONS,
+            ).object
+            for o in candidates
+        ]  # fmt: skip
+        found.append(_heirs(posterior, np.stack(ends))[0])
+    return _untwinned(np.stack(found), posterior.likelihood.optics)
 
 
 def for_ptychography(

@@ -1,6 +1,7 @@
 """Priors: what is believed about the object before the data."""
 
 from .base import Prior
+from .embedded import RealAmongComplex
 from .field import GaussianField
 from .gaussian import Gaussian
 from .learned import EnergyPrior, ScorePrior

@@ -29,6 +29,7 @@ from ..studies import (
     read_captures,
 )
 from ..studies.denoising import electrons
+from . import study_phase
 from .options import Quiet
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
@@ -38,6 +39,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Compare systems on the same recordings; a study that was stopped goes on.",
 )
+
+app.command("phase-retrieval")(study_phase.command)
 
 Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
 Prior = Annotated[

@@ -142,9 +142,9 @@ def test_scores_are_finite_in_float32(magnitude):
                 assert np.all(np.isfinite(counted)), (magnitude, y, level)
 
 
-def test_bessel_ratio_meets_its_series_without_a_step():
+def testbessel_ratio_meets_its_series_without_a_step():
     z = jnp.asarray([0.00999, 0.01001], jnp.float32)
-    left, right = annealing._bessel_ratio(z)
+    left, right = annealing.bessel_ratio(z)
     assert abs(left - right) < 4 * np.finfo(np.float32).eps
 
 

@@ -156,3 +156,25 @@ def test_chains_of_a_measured_stack_start_from_halves_of_it_and_others_from_one_
     halves = half_samples(likelihood, posterior.y, jax.random.key(1), 2)
     np.testing.assert_array_equal(apart, starts._turned(halves, prior))
     assert np.all(apart[0] != apart[1])
+
+
+@pytest.mark.slow
+def test_the_best_ends_of_admm_explain_the_recording_better_than_its_solutions():
+    """Under a field of the object's own spectrum, near the truth; each chain by itself."""
+    rows, columns = np.meshgrid(np.fft.fftfreq(16), np.fft.fftfreq(16))
+    prior = models.GaussianField(0.01 / (0.05 + np.hypot(rows, columns)) ** 2 + 1e-3, 1.5)
+    optics = models.Fourier((16, 16), oversampling=2)
+    problem = Problem(IntensityLikelihood(optics, Poisson(1_000_000), 1 / 400), prior)
+    x, y = problem.simulate(jax.random.key(3))
+    posterior = problem.condition(y)
+    found = starts.by_admm(posterior, jax.random.key(1), 2)
+    assert found.shape == (2, 16, 16)
+    alone = starts._solutions(posterior, jax.random.fold_in(jax.random.key(1), 0), 1)
+    log_prob = functools.partial(starts._log_probs, posterior)
+    truth = float(posterior.log_prob(x))
+    assert log_prob(found).min() > float(log_prob(alone)[0])
+    # A posterior of 256 unknowns lies 128 nats below its mode, and the truth in it.
+    assert log_prob(found).min() > truth - 128
+    np.testing.assert_array_equal(align(found, found[0], ["conjugate_flip"]), found)
+    first = starts.by_admm(posterior, jax.random.key(1), 1)
+    np.testing.assert_allclose(first[0], found[0], atol=1e-6)

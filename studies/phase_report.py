@@ -1,0 +1,198 @@
+"""What the answers to phase retrieval are worth: figures, table, and where their variance is."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..diagnostics.coverage import coverage
+from ..diagnostics.fidelity import psnr, ssim
+from ..diagnostics.gauge import align, gauge_to
+from ..diagnostics.reliability import reliability
+from ..diagnostics.spread import spread_over_error
+from ..models.optics import CIRCULAR_SHIFT, CONJUGATE_FLIP
+from .harness import Answer
+from .phase_retrieval import Condition, PhaseRetrieval
+from .phase_systems import PHASE_SYSTEMS
+from .report import LEVELS, refusals, shares
+
+_HEAD = (
+    "system", "mean, dB", "sd over pictures", "published, dB", "a draw, dB", "SSIM",
+    "pixels in 50 / 90 %", "spread over error", "misfit", "s a picture", "MB",
+)  # fmt: skip
+# The paper's Table 2 has these noise levels.
+_PUBLISHED_AT = (2.0, 3.0, 4.0)
+
+
+_SYMMETRIES = [CONJUGATE_FLIP, CIRCULAR_SHIFT]
+
+
+def aligned(study: PhaseRetrieval, answer: Answer) -> np.ndarray:
+    """Images (n, draws, h, w), flipped and shifted in a circle to lie nearest their pictures.
+
+    Draws are first brought together by themselves, then all by what suits their mean best: each by
+    itself would take from the truth what the draws do not know.
+    """
+    return np.stack([_brought(images, study.truth(i)) for i, images in enumerate(answer.images)])
+
+
+def _brought(draws: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    together = align(draws[None], None, _SYMMETRIES)[0]
+    return gauge_to(together.mean(axis=0), truth, _SYMMETRIES).apply(together)
+
+
+def judged_phases(
+    study: PhaseRetrieval, condition: str, answer: Answer
+) -> dict[str, float | tuple[float, ...]]:
+    """Figures of an answer; fidelity of the mean of the draws, after `aligned`.
+
+    "psnr": mean over pictures, of each the mean over its seeds; "sd": over pictures (nan of one).
+    "misfit": `Recording.misfit` of the draws as they were found.
+    "seconds": of a picture, all draws, the median. For those that sample also "draw psnr",
+    coverage of pixels with its error over answers, and spread over error.
+    """
+    images, count = aligned(study, answer), len(study.truths)
+    n = len(images)
+    truths = np.stack([study.truth(i) for i in range(n)])
+    means = images.mean(axis=1)
+    quality = _by_picture([psnr(mean, truth) for mean, truth in zip(means, truths)], count)
+    found = {
+        "psnr": float(quality.mean()),
+        "sd": float(quality.std(ddof=1)) if count > 1 else float("nan"),
+        "ssim": float(np.mean([ssim(mean, truth) for mean, truth in zip(means, truths)])),
+        "misfit": float(
+            np.mean(
+                [study.recording(condition, i).misfit(answer.images[i]) for i in range(n)]
+            )
+        ),
+        "seconds": float(np.median(answer.seconds)),
+        "memory": answer.memory / 1e6,
+    }  # fmt: skip
+    if images.shape[1] < 2:
+        return found
+    draws = [psnr(image[0], truth) for image, truth in zip(images, truths)]
+    found["draw psnr"] = float(_by_picture(draws, count).mean())
+    rng = np.random.default_rng(0)
+    covered = [coverage(images, truths, level, rng) for level in LEVELS]
+    found["pixels"] = tuple(value for share in covered for value in (share.share, share.error))
+    found["spread"] = spread_over_error(images, truths)
+    return found
+
+
+def _by_picture(values: list[float], pictures: int) -> np.ndarray:
+    return np.array([np.mean(values[i::pictures]) for i in range(pictures)])
+
+
+def phase_table(study: PhaseRetrieval, condition: str, answers: dict[str, Answer]) -> str:
+    """Markdown: a row for each system that answered, and why others did not."""
+    lines = [f"## alpha = {condition.replace('-', ', ', 1)}", "", measured_as(study, condition), ""]
+    lines += ["| " + " | ".join(_HEAD) + " |", "|" + "---|" * len(_HEAD)]
+    for system, answer in answers.items():
+        if not answer.refusal:
+            row = _row(system, condition, judged_phases(study, condition, answer))
+            lines.append("| " + " | ".join(row) + " |")
+    return "\n".join([*lines, "", *refusals(answers)])
+
+
+def measured_as(study: PhaseRetrieval, condition: str) -> str:
+    """A sentence on how the recordings of a condition were made, and what is left in them."""
+    how, recording = Condition.of(condition), study.recording(condition, 0)
+    lit = float(np.mean(recording.y > 0))
+    if how.gaussian:
+        noise = "prDeep's normal noise of photon strength, in whole electrons"
+    else:
+        noise = "true photon counts" + (
+            "" if how.bits is None else f", {how.bits} bits over the brightest"
+        )
+    return (
+        f"Recordings: {noise}; an electron is {how.electron:.3g} of |F x|^2 (unitary F, x in "
+        f"0..1), the brightest pixel has {recording.full_well - 1} of them, and "
+        f"{100 * lit:.2g} % of the pixels of the first recording are not 0."
+    )
+
+
+def _row(system: str, condition: str, found: dict) -> list[str]:
+    how = Condition.of(condition)
+    at = dict(zip(_PUBLISHED_AT, PHASE_SYSTEMS[system].published)).get(how.alpha)
+    samples = "spread" in found
+    return [
+        system,
+        f"{found['psnr']:.2f}",
+        "" if np.isnan(found["sd"]) else f"{found['sd']:.2f}",
+        "" if at is None else f"{at}",
+        f"{found['draw psnr']:.2f}" if samples else "",
+        f"{found['ssim']:.3f}",
+        shares(found["pixels"]) if samples else "",
+        f"{found['spread']:.2f}" if samples else "",
+        f"{found['misfit']:.3g}",
+        f"{found['seconds']:.3g}",
+        f"{found['memory']:.0f}",
+    ]
+
+
+def protocol_notes(systems: list[str]) -> str:
+    """Markdown: how each row differs from what the published figure is of."""
+    lines = [
+        "Published: Table 2 of arXiv 2212.03235, whose rows but its own are those of Metzler et "
+        "al., ICML 2018 (their definition of the noise; a mean of the six pictures). Every PSNR is "
+        "the best over flip and circular shift, with the peak of 255 grey levels. The paper says "
+        "of its measurements that they are photon counts with 8 bits; where the zero frequency "
+        "sets the range of those bits nearly nothing is left, so that its figures must be of "
+        "something milder.",
+        "",
+    ]
+    return "\n".join([*lines, *(f"- {name}: {PHASE_SYSTEMS[name].note}." for name in systems), ""])
+
+
+def variance_picture(found: dict[str, dict[str, Answer]], truth: np.ndarray) -> Figure | None:
+    """Of the first answers, already `aligned`: truth, a draw, the mean, the variance of the draws
+    beside the squared error (on one scale), and the error by bins of the stated sd (of 4 draws
+    or more).
+
+    A row for every condition and system with draws; None where no system sampled.
+    """
+    rows = [
+        (condition, system, answer.images[0])
+        for condition, answers in found.items()
+        for system, answer in answers.items()
+        if not answer.refusal and answer.images.shape[1] > 1
+    ]
+    if not rows:
+        return None
+    figure = Figure(figsize=(13, 2.3 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 6, squeeze=False)
+    for axes, (condition, system, draws) in zip(grid, rows):
+        _variance_row(axes, truth, draws)
+        axes[0].set_ylabel(f"{condition}\n{system}", fontsize=8)
+    return figure
+
+
+def _variance_row(axes: np.ndarray, truth: np.ndarray, draws: np.ndarray) -> None:
+    mean, variance = draws.mean(axis=0), draws.var(axis=0, ddof=1)
+    square = (mean - truth) ** 2
+    white = np.quantile(square, 0.99)
+    pictures = {
+        "truth": (truth, 1.0),
+        f"a draw, {psnr(draws[0], truth):.1f} dB": (draws[0], 1.0),
+        f"mean of {len(draws)}, {psnr(mean, truth):.1f} dB": (mean, 1.0),
+        "variance of the draws": (variance, white),
+        "squared error of the mean": (square, white),
+    }
+    for axis, (title, (image, top)) in zip(axes, pictures.items()):
+        axis.imshow(image, cmap="gray" if top == 1.0 else "magma", vmin=0, vmax=top)
+        axis.set_title(title, fontsize=8)
+        axis.set_xticks([])
+        axis.set_yticks([])
+    if len(draws) < 4:
+        axes[-1].set_axis_off()
+        return
+    _reliability(axes[-1], draws[None], truth[None])
+
+
+def _reliability(axis, draws: np.ndarray, truths: np.ndarray) -> None:  # noqa: ANN001
+    bins = reliability(draws, truths)
+    largest = 1.05 * max(bins.stated.max(), bins.error.max())
+    axis.plot([0, largest], [0, largest], color="0.7", lw=1)
+    axis.plot(bins.stated, bins.error, "o-", ms=3, lw=1)
+    axis.set_title(f"spread over error {spread_over_error(draws, truths):.2f}", fontsize=8)
+    axis.set_xlabel("stated sd", fontsize=7)
+    axis.set_ylabel("error", fontsize=7)
+    axis.tick_params(labelsize=6)
