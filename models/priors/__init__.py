@@ -2,6 +2,7 @@
 
 from .base import Prior
 from .field import GaussianField
+from .flat import FlatPrior
 from .gaussian import Gaussian
 from .learned import EnergyPrior, ScorePrior
 from .mixture import GaussianMixture
