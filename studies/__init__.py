@@ -5,24 +5,35 @@ from .harness import Answer, measure
 from .measured import Captures, Measured, names_of, read_captures
 from .measured_report import judged_capture, left_over, measured_table, model_table
 from .pictures import held_out
+from .ptychography import Condition, Ptychography
+from .ptychography_report import Judged, judged_objects, ptychography_table
+from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from .report import as_table, judged, picture
+from .specimens import specimens
 from .systems import SYSTEMS
 
 __all__ = [
+    "PTYCHOGRAPHY_SYSTEMS",
     "SYSTEMS",
     "Answer",
     "Captures",
+    "Condition",
     "Denoising",
+    "Judged",
     "Measured",
+    "Ptychography",
     "as_table",
     "held_out",
     "judged",
     "judged_capture",
+    "judged_objects",
     "left_over",
     "measure",
     "measured_table",
     "model_table",
     "names_of",
     "picture",
+    "ptychography_table",
     "read_captures",
+    "specimens",
 ]

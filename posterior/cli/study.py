@@ -30,6 +30,7 @@ from ..studies import (
 )
 from ..studies.denoising import electrons
 from .options import Quiet
+from .study_ptychography import command as ptychography
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
 
@@ -38,6 +39,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Compare systems on the same recordings; a study that was stopped goes on.",
 )
+app.command("ptychography")(ptychography)
 
 Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
 Prior = Annotated[

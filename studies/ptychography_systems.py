@@ -1,0 +1,90 @@
+"""What finds a complex object behind the images of LEDs: the paper's systems, and ours."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..estimators import maximum_likelihood
+from ..models.likelihood import IntensityLikelihood
+from ..models.priors import FlatPrior, Prior, ScorePrior
+from ..presets import learned_annealing, start_of
+from ..problem import Posterior, Problem
+from ..samplers import AnnealedLangevin, Sampler
+from ..sampling import sample
+
+
+class Recording(NamedTuple):
+    """What a system is given: images `y` (LEDs, n, n), their microscope, a prior by name, a key."""
+
+    likelihood: IntensityLikelihood
+    y: jax.Array
+    prior: str
+    key: jax.Array
+    draws: int
+
+    def posterior(self, prior: Prior | None = None) -> Posterior:
+        """Under the network of that name, or another prior."""
+        shape = self.likelihood.object_shape
+        prior = _loaded(self.prior, shape) if prior is None else prior
+        return Problem(self.likelihood, prior).condition(self.y)
+
+
+class System(NamedTuple):
+    """`answer(recording)` gives objects (draws, side, side): an estimator one."""
+
+    answer: Callable[[Recording], np.ndarray]
+    samples: bool
+    reference: str
+
+
+@cache
+def _loaded(prior: str, shape: tuple[int, ...]) -> ScorePrior:
+    return ScorePrior.load(prior, shape, dtype=complex)
+
+
+def _quasi_newton(recording: Recording) -> np.ndarray:
+    return np.asarray(maximum_likelihood(recording.likelihood, recording.y).object)[None]
+
+
+def _without_prior(recording: Recording) -> np.ndarray:
+    """As printed, from where the others start: nothing else would tell it a phase."""
+    flat = FlatPrior(recording.likelihood.object_shape, complex)
+    start = np.repeat(_quasi_newton(recording), recording.draws, axis=0)
+    return _drawn(recording, recording.posterior(flat), _printed(), start)
+
+
+def _annealed_printed(recording: Recording) -> np.ndarray:
+    return _drawn(recording, recording.posterior(), _printed())
+
+
+def _annealed(recording: Recording) -> np.ndarray:
+    posterior = recording.posterior()
+    return _drawn(recording, posterior, learned_annealing(posterior))
+
+
+def _printed() -> AnnealedLangevin:
+    # As many evaluations of the network as the consistent form takes.
+    return AnnealedLangevin(levels=60, steps=4, published=True)
+
+
+def _drawn(
+    recording: Recording, posterior: Posterior, sampler: Sampler, start: np.ndarray | None = None
+) -> np.ndarray:
+    key_start, key = jax.random.split(recording.key)
+    if start is None:
+        start = start_of("annealed", posterior, key_start, recording.draws)
+    run = sample(
+        posterior, sampler, key, chains=recording.draws, draws=1, start=start, progress=False
+    )
+    return run.values[:, 0]
+
+
+PTYCHOGRAPHY_SYSTEMS = {
+    "quasi-Newton": System(_quasi_newton, False, "Yeh et al. 2015, on the exact likelihood"),
+    "no prior": System(_without_prior, True, "arXiv 2212.03235, Algorithm 1 without its prior"),
+    "annealed, printed": System(_annealed_printed, True, "arXiv 2212.03235, as printed"),
+    "annealed": System(_annealed, True, "the consistent form, along the convolved path"),
+}
