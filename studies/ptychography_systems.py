@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..estimators import maximum_likelihood
+from ..estimators import default_start, maximum_likelihood
 from ..models.likelihood import IntensityLikelihood
 from ..models.priors import FlatPrior, Prior, ScorePrior
 from ..presets import learned_annealing, start_of
@@ -43,6 +43,10 @@ class System(NamedTuple):
 @cache
 def _loaded(prior: str, shape: tuple[int, ...]) -> ScorePrior:
     return ScorePrior.load(prior, shape, dtype=complex)
+
+
+def _bright_field(recording: Recording) -> np.ndarray:
+    return np.asarray(default_start(recording.likelihood, recording.y))[None]
 
 
 def _quasi_newton(recording: Recording) -> np.ndarray:
@@ -83,6 +87,7 @@ def _drawn(
 
 
 PTYCHOGRAPHY_SYSTEMS = {
+    "bright field": System(_bright_field, False, "mean bright field, where quasi-Newton starts"),
     "quasi-Newton": System(_quasi_newton, False, "Yeh et al. 2015, on the exact likelihood"),
     "no prior": System(_without_prior, True, "arXiv 2212.03235, Algorithm 1 without its prior"),
     "annealed, printed": System(_annealed_printed, True, "arXiv 2212.03235, as printed"),
