@@ -10,6 +10,7 @@ from .ptychography_report import Judged, judged_objects, ptychography_table
 from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from .report import as_table, judged, picture
 from .specimens import specimens
+from .stack_halves import StackHalves, stack_table
 from .systems import SYSTEMS
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Judged",
     "Measured",
     "Ptychography",
+    "StackHalves",
     "as_table",
     "held_out",
     "judged",
@@ -36,4 +38,5 @@ __all__ = [
     "ptychography_table",
     "read_captures",
     "specimens",
+    "stack_table",
 ]

@@ -17,13 +17,17 @@ from ..sampling import sample
 
 
 class Recording(NamedTuple):
-    """What a system is given: images `y` (LEDs, n, n), their microscope, a prior by name, a key."""
+    """What a system is given: images `y` (LEDs, n, n), their microscope, a prior by name, a key.
+
+    `measured`: of a real microscope, whose model is not quite right.
+    """
 
     likelihood: IntensityLikelihood
     y: jax.Array
     prior: str
     key: jax.Array
     draws: int
+    measured: bool = False
 
     def posterior(self, prior: Prior | None = None) -> Posterior:
         """Under the network of that name, or another prior."""
@@ -79,7 +83,9 @@ def _drawn(
 ) -> np.ndarray:
     key_start, key = jax.random.split(recording.key)
     if start is None:
-        start = start_of("annealed", posterior, key_start, recording.draws)
+        start = start_of(
+            "annealed", posterior, key_start, recording.draws, measured=recording.measured
+        )
     run = sample(
         posterior, sampler, key, chains=recording.draws, draws=1, start=start, progress=False
     )

@@ -19,14 +19,21 @@ from ..studies.ptychography_report import PROTOCOL, Judged, judged_objects, ptyc
 from ..studies.ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from ..studies.specimens import specimens
 from .options import Quiet
+from .study_stack import run_stack
 
 # One of the two is held while the other varies.
 _LEDS, _SIGMA = 89, "0.1"
 
 
 def command(
-    data: Annotated[Path, typer.Option(help="Folder of bloodsmear_*_epie_reference.npz.")],
     out: Annotated[Path, typer.Option(help="Folder for the answers, the tables and figures.")],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of bloodsmear_*_epie_reference.npz.")
+    ] = None,
+    stack: Annotated[
+        Path | None,
+        typer.Option(help="A measured stack instead: half of its LEDs predicts the other."),
+    ] = None,
     prior: Annotated[
         str, typer.Option(help="Shipped weights, or paths up to -gaussian-score.safetensors.")
     ] = "complex-cells",
@@ -45,14 +52,26 @@ def command(
     size: Annotated[int, typer.Option(help="Side of the objects: 32, 64, 96 or 128.")] = 64,
     draws: Annotated[int, typer.Option(help="Of each system that samples, 2 or more.")] = 8,
     bits: Annotated[int, typer.Option(help="Of the ADC; 0: whole counts.")] = 8,
+    view: Annotated[int, typer.Option(help="Middle camera pixels of a stack; 0: all.")] = 0,
+    widest: Annotated[float, typer.Option(help="NA up to which LEDs of a stack are used.")] = 0.19,
     seed: Annotated[int, typer.Option(help="Same seed, same recordings and draws.")] = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Held-out complex objects behind LEDs, recorded with true Poisson counts and an ADC."""
+    """Held-out complex objects behind LEDs, recorded with true Poisson counts and an ADC.
+
+    Or a measured stack (--stack), whose object nobody knows.
+    """
+    if (data is None) == (stack is None):
+        raise ValueError("give either --data (references, to simulate with) or --stack (measured)")
+    names = _checked(system, objects, draws, part)
+    # This process judges while others work, on an accelerator that they would fill.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    if stack is not None:
+        run_stack(stack, out, prior, names, view, widest, draws, seed, quiet)
+        return
     by_sigma = [Condition(_LEDS, value).name for value in sigma]
     by_leds = [Condition(value, _SIGMA).name for value in leds]
     conditions = list(dict.fromkeys([*by_sigma, *by_leds]))
-    names = _checked(system, objects, draws, part)
     _check_conditions(conditions, size, bits)
     truths = specimens(data, card_of(prior), part, objects, size)
     study = Ptychography(truths, prior, bits or None, draws, seed)
@@ -61,8 +80,6 @@ def command(
         "draws": draws, "bits": bits, "seed": seed,
         "first": hashlib.sha256(truths[0].tobytes()).hexdigest(),
     }  # fmt: skip
-    # This process judges while others work, on an accelerator that they would fill.
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     found: dict[str, dict[str, Judged]] = {}
     answered: dict[str, dict[str, Answer]] = {}
     steps = chain.from_iterable(

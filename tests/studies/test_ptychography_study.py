@@ -176,7 +176,8 @@ def test_the_table_has_a_row_for_each_answer_and_the_figure_a_line(study):
     figure = psnr_panels({name: {"draws": judged["draws"]}}, [name], [name])
     assert [axis.get_xlabel() for axis in figure.axes] == ["sigma_0", "sigma_0", "LEDs", "LEDs"]
     line = figure.axes[1].containers[0].lines[0]
-    np.testing.assert_allclose(line.get_ydata(), [judged["draws"].phase.mean()])
+    shown = np.asarray(line.get_ydata(), float)
+    np.testing.assert_allclose(shown, [judged["draws"].phase.mean()])
 
 
 # ---- systems -------------------------------------------------------------------------------------
@@ -238,6 +239,7 @@ def test_the_command_writes_tables_and_figures(folder, tmp_path, capsys):
         (("--size", "40"), "40 x 40"),
         (("--prior", "nowhere"), "nowhere"),
         (("--bits", "17"), "17"),
+        (("--stack", "stack.npz"), "either --data"),
     ],
 )
 def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
