@@ -12,9 +12,10 @@ from ..diagnostics.spread import spread_over_error
 from ..models.optics import GLOBAL_PHASE
 from .harness import Answer
 from .ptychography import Ptychography
+from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from .report import LEVELS, refusals, shares
 
-PROTOCOL = """\
+_PROTOCOL = """\
 Mean and standard error over objects, each turned by the global phase that brings it nearest to the
 truth, which intensities do not tell. The paper shows this experiment as plots alone: it prints no
 figures to put beside ours. What differs: its objects are bone cells of 256 x 256, ours windows of a
@@ -23,6 +24,7 @@ supplement that is not at hand, ours are a disc of a square grid, and quasi-Newt
 true Poisson counts, 8 bits (`--bits`), PSNR of amplitude and phase, 10 objects (`--objects`), Yeh
 et al.'s quasi-Newton, on the exact likelihood, and the baseline: Algorithm 1 as printed without its
 prior term, from where the others start.
+
 """
 
 _HEAD = (
@@ -53,6 +55,12 @@ class Judged(NamedTuple):
     spread: float | None
     amplitudes: tuple[float, ...]
     phases: tuple[float, ...]
+
+
+def protocol() -> str:
+    """Markdown: what is taken over from the paper and what differs, and where systems are from."""
+    systems = [f"- {name}: {system.reference}" for name, system in PTYCHOGRAPHY_SYSTEMS.items()]
+    return "\n".join([_PROTOCOL, *systems, ""])
 
 
 def aligned(draws: np.ndarray, truths: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from ..presets import learned_annealing, start_of
 from ..problem import Posterior, Problem
 from ..samplers import AnnealedLangevin, Sampler
 from ..sampling import sample
+from ..starts import for_ptychography
 
 
 class Recording(NamedTuple):
@@ -29,6 +30,11 @@ class Recording(NamedTuple):
     draws: int
     measured: bool = False
 
+    @property
+    def start_key(self) -> jax.Array:
+        """Of the starts: `key` is of the draws."""
+        return jax.random.fold_in(self.key, 2**31 - 1)
+
     def posterior(self, prior: Prior | None = None) -> Posterior:
         """Under the network of that name, or another prior."""
         shape = self.likelihood.object_shape
@@ -40,7 +46,6 @@ class System(NamedTuple):
     """`answer(recording)` gives objects (draws, side, side): an estimator one."""
 
     answer: Callable[[Recording], np.ndarray]
-    samples: bool
     reference: str
 
 
@@ -65,12 +70,15 @@ def _without_prior(recording: Recording) -> np.ndarray:
 
 
 def _annealed_printed(recording: Recording) -> np.ndarray:
-    return _drawn(recording, recording.posterior(), _printed())
+    posterior, key = recording.posterior(), recording.start_key
+    start = for_ptychography(posterior, key, recording.draws, measured=recording.measured)
+    return _drawn(recording, posterior, _printed(), start)
 
 
 def _annealed(recording: Recording) -> np.ndarray:
-    posterior = recording.posterior()
-    return _drawn(recording, posterior, learned_annealing(posterior))
+    posterior, settings = recording.posterior(), {"measured": recording.measured}
+    start = start_of("annealed", posterior, recording.start_key, recording.draws, **settings)
+    return _drawn(recording, posterior, learned_annealing(posterior), start)
 
 
 def _printed() -> AnnealedLangevin:
@@ -79,23 +87,19 @@ def _printed() -> AnnealedLangevin:
 
 
 def _drawn(
-    recording: Recording, posterior: Posterior, sampler: Sampler, start: np.ndarray | None = None
+    recording: Recording, posterior: Posterior, sampler: Sampler, start: np.ndarray
 ) -> np.ndarray:
-    key_start, key = jax.random.split(recording.key)
-    if start is None:
-        start = start_of(
-            "annealed", posterior, key_start, recording.draws, measured=recording.measured
-        )
     run = sample(
-        posterior, sampler, key, chains=recording.draws, draws=1, start=start, progress=False
-    )
+        posterior, sampler, recording.key, chains=recording.draws, draws=1, start=start,
+        progress=False,
+    )  # fmt: skip
     return run.values[:, 0]
 
 
 PTYCHOGRAPHY_SYSTEMS = {
-    "bright field": System(_bright_field, False, "mean bright field, where quasi-Newton starts"),
-    "quasi-Newton": System(_quasi_newton, False, "Yeh et al. 2015, on the exact likelihood"),
-    "no prior": System(_without_prior, True, "arXiv 2212.03235, Algorithm 1 without its prior"),
-    "annealed, printed": System(_annealed_printed, True, "arXiv 2212.03235, as printed"),
-    "annealed": System(_annealed, True, "the consistent form, along the convolved path"),
+    "bright field": System(_bright_field, "mean bright field, where quasi-Newton starts"),
+    "quasi-Newton": System(_quasi_newton, "Yeh et al. 2015, on the exact likelihood"),
+    "no prior": System(_without_prior, "arXiv 2212.03235, Algorithm 1 without its prior"),
+    "annealed, printed": System(_annealed_printed, "arXiv 2212.03235, as printed"),
+    "annealed": System(_annealed, "the consistent form, along the convolved path"),
 }

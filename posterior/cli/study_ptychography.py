@@ -15,7 +15,7 @@ from ..models.priors.storage import card_of
 from ..studies.harness import Answer, measure
 from ..studies.ptychography import Condition, Ptychography, led_optics
 from ..studies.ptychography_plots import maps, psnr_panels, scatter
-from ..studies.ptychography_report import PROTOCOL, Judged, judged_objects, ptychography_table
+from ..studies.ptychography_report import Judged, judged_objects, protocol, ptychography_table
 from ..studies.ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from ..studies.specimens import specimens
 from .options import Quiet
@@ -125,7 +125,7 @@ def _write(
 ) -> None:  # fmt: skip
     """Tables, PSNR of every condition; scatter and maps of the one where both panels meet."""
     tables = [ptychography_table(name, judged, answered[name]) for name, judged in found.items()]
-    text = "\n".join([PROTOCOL, *tables])
+    text = "\n".join([protocol(), *tables])
     replace_whole(out / "study.md", lambda p: Path(p).write_text(text, encoding="utf-8"))
     middle = Condition(_LEDS, _SIGMA).name
     shown = answered[middle if middle in answered else next(iter(answered))]
