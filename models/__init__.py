@@ -17,5 +17,13 @@ from .optics import (
     Optics,
     Propagation,
 )
-from .priors import EnergyPrior, GaussianField, GaussianMixture, PixelPrior, Prior, ScorePrior
+from .priors import (
+    EnergyPrior,
+    FlatPrior,
+    GaussianField,
+    GaussianMixture,
+    PixelPrior,
+    Prior,
+    ScorePrior,
+)
 from .priors import Gaussian as GaussianPrior

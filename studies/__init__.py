@@ -8,7 +8,12 @@ from .phase_report import aligned, judged_phases, phase_table, protocol_notes, v
 from .phase_retrieval import PhaseRetrieval, pictures_of
 from .phase_systems import PHASE_SYSTEMS
 from .pictures import held_out
+from .ptychography import Condition, Ptychography
+from .ptychography_report import Judged, judged_objects, ptychography_table
+from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from .report import as_table, judged, picture
+from .specimens import specimens
+from .stack_halves import StackHalves, stack_table
 from .systems import SYSTEMS
 
 __all__ = [
@@ -20,20 +25,29 @@ __all__ = [
     "pictures_of",
     "protocol_notes",
     "variance_picture",
+    "PTYCHOGRAPHY_SYSTEMS",
     "SYSTEMS",
     "Answer",
     "Captures",
+    "Condition",
     "Denoising",
+    "Judged",
     "Measured",
+    "Ptychography",
+    "StackHalves",
     "as_table",
     "held_out",
     "judged",
     "judged_capture",
+    "judged_objects",
     "left_over",
     "measure",
     "measured_table",
     "model_table",
     "names_of",
     "picture",
+    "ptychography_table",
     "read_captures",
+    "specimens",
+    "stack_table",
 ]

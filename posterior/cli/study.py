@@ -31,6 +31,7 @@ from ..studies import (
 from ..studies.denoising import electrons
 from . import study_phase
 from .options import Quiet
+from .study_ptychography import command as ptychography
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
 
@@ -39,6 +40,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Compare systems on the same recordings; a study that was stopped goes on.",
 )
+app.command("ptychography")(ptychography)
 
 app.command("phase-retrieval")(study_phase.command)
 

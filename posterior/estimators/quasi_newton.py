@@ -188,10 +188,8 @@ def minimised(
 # ---- where to start ------------------------------------------------------------------------------
 
 
-def _bright_field(
-    likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
-) -> jax.Array:
-    amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
+def bright_fields(optics: FourierPtychography) -> np.ndarray:
+    """Which LEDs (M,) shine through the pupil themselves, by half of its largest transmission."""
     low = optics.low_shape
     pupils = np.broadcast_to(np.asarray(optics.pupil), (len(optics.centres), *low))
     # The LED's own light, frequency zero, passes the pupil at the place opposite to the centre.
@@ -199,7 +197,14 @@ def _bright_field(
     inside = np.all((place >= 0) & (place < low), axis=1)
     row, column = np.where(inside[:, None], place, 0).T
     # A soft pupil fades out: beyond its half the image is a dark field.
-    bright = inside & (np.abs(pupils[np.arange(len(row)), row, column]) > np.abs(pupils).max() / 2)
+    return inside & (np.abs(pupils[np.arange(len(row)), row, column]) > np.abs(pupils).max() / 2)
+
+
+def _bright_field(
+    likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
+) -> jax.Array:
+    amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
+    low, bright = optics.low_shape, bright_fields(optics)
     mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
     mean = jnp.pad(mean, [(r, r) for r in optics.rim], mode="symmetric")
     whole = FourierPtychography(optics.in_shape, np.zeros((1, 2), int), np.ones(low))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..estimators.quasi_newton import default_start
+from ..estimators.quasi_newton import bright_fields, default_start
 from ..models.priors import ScorePrior
 from ..models.priors.learned import LearnedPrior
 from ..problem import Posterior
@@ -115,7 +115,8 @@ def start_of(
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
     starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
     several, which start from hybrid input-output. Under a learned prior ptychography starts from
-    quasi-Newton, a `measured` stack from halves of itself. "split" cannot travel at all.
+    quasi-Newton, where no LED is a dark field from an annealing run from there, a `measured` stack
+    from halves of itself. "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
     if posterior.likelihood.linear:
@@ -129,9 +130,28 @@ def start_of(
         return np.stack([start] * chains)
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
-            return for_ptychography(posterior, key, chains, progress, measured)
+            return _ptychography_start(posterior, key, chains, progress, measured)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
     search = from_magnitudes if magnitudes else annealed
     return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains, progress=progress)
+
+
+def _ptychography_start(
+    posterior: Posterior, key: jax.Array, chains: int, progress: bool, measured: bool
+) -> np.ndarray | None:
+    """As `for_ptychography`; after one run more where all LEDs are bright fields.
+
+    An LED tells a slow phase to first order where one of its sidebands passes the pupil and the
+    other does not. Bright fields well inside tell none, and quasi-Newton is off there by more than
+    the noise of the first level: the draws of one run remember it. A broader first level loses
+    quasi-Newton's valley. On four validation objects behind 9 LEDs the second run brought spread
+    over error from 0.90 to 1.07, and the error of the mean from 0.114 to 0.101.
+    """
+    start = for_ptychography(posterior, key, chains, progress, measured)
+    optics = posterior.likelihood.optics
+    if start is None or measured or not bright_fields(optics).all():
+        return start
+    scout, key = learned_annealing(posterior), jax.random.fold_in(key, 1)
+    return annealed(posterior, scout, key, chains, start, progress)

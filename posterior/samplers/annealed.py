@@ -115,10 +115,7 @@ class AnnealedLangevin(RunSampler):
         """State before the first level. Every draw starts anew from `position`, if given."""
         if self.descent:
             check_gaussian(self, posterior)
-        sigma_max, sigma_min = posterior.annealing_range(self.path)
-        sigma_max = sigma_max if self.sigma_max is None else self.sigma_max
-        sigma_min = sigma_min if self.sigma_min is None else self.sigma_min
-        sigmas = jnp.geomspace(sigma_max, sigma_min, self.levels)
+        sigmas = jnp.geomspace(*self._range(posterior), self.levels)
         start = posterior.start(key) if position is None else position
         sigmas = sigmas.astype(start.real.dtype)
         polish = MALA().init(key, posterior, start) if self.polish else None
@@ -133,6 +130,16 @@ class AnnealedLangevin(RunSampler):
             step_size=polish.step_size if polish else jnp.zeros((), sigmas.dtype),
             metric=polish.metric if polish else None,
             posterior=posterior,
+        )
+
+    def _range(self, posterior: Posterior) -> tuple[jax.Array | float, jax.Array | float]:
+        """Broadest and finest level; a prior without a scale is not asked for what is given."""
+        if self.sigma_max is not None and self.sigma_min is not None:
+            return self.sigma_max, self.sigma_min
+        broadest, finest = posterior.annealing_range(self.path)
+        return (
+            broadest if self.sigma_max is None else self.sigma_max,
+            finest if self.sigma_min is None else self.sigma_min,
         )
 
     def steps_per_draw(self) -> int:

@@ -11,34 +11,25 @@ import posterior as ps
 from posterior import models, presets
 from posterior.diagnostics import align, phase_psnr, psnr, spread_over_error
 from posterior.estimators import default_start, maximum_likelihood
+from posterior.studies.ptychography import microscope
+from posterior.studies.specimens import reference
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.data,
     pytest.mark.skipif("POSTERIOR_DATA" not in os.environ, reason="no study data"),
 ]
-SIDE, CHAINS, PITCH, RADIUS = 128, 4, 9, 15.9
-DISKS = {9: 2, 25: 8, 49: 16, 89: 26}  # LEDs of a grid within this squared distance
+SIDE, CHAINS = 128, 4
 
 
 def held_out_object(row):
     """From the columns of the reference object that no network saw, in the prior's units."""
-    path = os.path.join(os.environ["POSTERIOR_DATA"], "fpm", "bloodsmear_red_epie_reference.npz")
-    whole = np.load(path)["obj"]
-    seen = whole[:, :384]
-    scale = np.percentile(np.abs(seen), 99.5) * np.exp(1j * np.angle(seen.mean()))
-    return (whole[row * SIDE : (row + 1) * SIDE, 384:] / scale).astype(np.complex64)
+    folder = os.path.join(os.environ["POSTERIOR_DATA"], "fpm")
+    return reference(folder, "red")[row * SIDE : (row + 1) * SIDE, 384:]
 
 
 def measured(truth, leds, sigma_0):
-    grid = np.arange(-5, 6)
-    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), -1).reshape(-1, 2)
-    centres = PITCH * places[np.sum(places**2, axis=1) <= DISKS[leds]]
-    assert len(centres) == leds
-    optics = models.FourierPtychography.from_radius(truth.shape, centres, RADIUS, 4)
-    brightest = float(jnp.max(jnp.abs(optics(jnp.asarray(truth))) ** 2))
-    camera = models.Poisson(round(1 / sigma_0**2), 8)
-    likelihood = models.IntensityLikelihood(optics, camera, 1 / brightest / (1 + 4 * sigma_0))
+    likelihood = microscope(jnp.asarray(truth), leds, models.Poisson(round(1 / sigma_0**2), 8))
     y = likelihood.simulate(jax.random.key(0), jnp.asarray(truth))
     prior = models.ScorePrior.load("complex-cells", truth.shape)
     return ps.Problem(likelihood, prior).condition(y)

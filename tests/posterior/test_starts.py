@@ -178,3 +178,20 @@ def test_the_best_ends_of_admm_explain_the_recording_better_than_its_solutions()
     np.testing.assert_array_equal(align(found, found[0], ["conjugate_flip"]), found)
     first = starts.by_admm(posterior, jax.random.key(1), 1)
     np.testing.assert_allclose(first[0], found[0], atol=1e-6)
+
+
+def test_behind_bright_fields_alone_chains_start_from_a_run_each():
+    """Their slow phases are not those of quasi-Newton, to which no LED told them."""
+    prior = ScorePrior(wiener("score", True, dtype="float32"), (16, 16))
+    axis = np.arange(-1, 2)
+    centres = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    optics = FourierPtychography.from_radius((16, 16), centres, 3.9, 2)
+    likelihood = IntensityLikelihood(optics, Poisson(1000), 0.2)
+    truth = np.asarray(prior.sample(jax.random.key(3)), np.complex64) + 1.5 * (1 + 1j)
+    posterior = Problem(likelihood, prior).condition(
+        likelihood.simulate(jax.random.key(0), truth / np.abs(truth).max())
+    )
+    climbed = starts.for_ptychography(posterior, jax.random.key(1), 2)
+    np.testing.assert_array_equal(climbed[0], climbed[1])
+    apart = presets.start_of("annealed", posterior, jax.random.key(1), 2)
+    assert np.all(apart[0] != apart[1]) and np.all(apart[0] != climbed[0])

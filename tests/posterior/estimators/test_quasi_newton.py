@@ -10,6 +10,7 @@ from known import linear_gaussian
 from posterior import models
 from posterior.diagnostics import align
 from posterior.estimators import default_start, maximum_likelihood, maximum_posterior
+from posterior.estimators.quasi_newton import bright_fields
 
 
 def vector(o):
@@ -209,3 +210,12 @@ def test_a_dark_start_under_recorded_light_is_refused():
 def test_a_complex_start_of_a_real_object_is_refused():
     posterior, _, _ = linear_gaussian(5, 4, float)
     refused("start is complex", posterior, np.ones(5, complex), find=maximum_posterior)
+
+
+def test_leds_inside_the_pupil_are_bright_fields():
+    """Those whose centre lies less than the radius from the axis, 3.3 samples here."""
+    _, likelihood = microscope()
+    centres = np.asarray(likelihood.optics.centres)
+    inside = np.linalg.norm(centres, axis=1) < 3.3
+    np.testing.assert_array_equal(bright_fields(likelihood.optics), inside)
+    assert inside.sum() == 9
