@@ -233,6 +233,7 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
         (("--prior", "nowhere"), "nowhere"),
         (("--pictures", "4"), "no file"),
         (("--bits", "17"), "17"),
+        (("--features", "inception"), "--features inception"),
     ],
 )
 def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
@@ -244,3 +245,17 @@ def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, wo
 
 def test_noise_levels_are_of_whole_electrons():
     assert [electrons(c) for c in ("0.025", "0.05", "0.1", "0.2")] == [1600, 400, 100, 25]
+
+
+def test_the_table_tells_pictures_from_smooth_answers_and_says_by_what(truths):
+    """Exact draws are at the floor; one blurred answer each is far over it."""
+    rng = np.random.default_rng(0)
+    pictures = np.random.default_rng(1).uniform(size=(8, SIDE, SIDE))
+    exact = answer_of(rng, pictures)
+    smooth = exact._replace(images=exact.images.mean(axis=1, keepdims=True) / 2 + 0.25)
+    table = as_table("0.1", {"annealed": exact, "MMSE": smooth}, pictures)
+    cells = [row.split("|")[7].split() for row in table.splitlines() if row.startswith("| ")][1:]
+    (near, _, floor, _), (far, _, bound, p) = cells
+    assert float(near) < 3 * float(floor) and float(far) > 10 * float(bound)
+    assert float(p.strip("()")) < 0.05
+    assert "Haar bands of 8x8 patches" in table and "Two halves of the truths" in table
