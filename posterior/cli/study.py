@@ -31,6 +31,7 @@ from ..studies import (
     read_captures,
 )
 from ..studies.denoising import electrons
+from . import study_approximations
 from .options import Quiet
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
@@ -40,6 +41,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Compare systems on the same recordings; a study that was stopped goes on.",
 )
+app.command("approximations")(study_approximations.command)
 
 Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
 Prior = Annotated[
