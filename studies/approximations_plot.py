@@ -25,7 +25,7 @@ def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
     Where no exact posterior is known the width is the spread over error.
     """
     problems = list(found)
-    size = (13, 1.9 + 0.62 * len(problems))
+    size = (13, 1.9 + 0.9 * len(problems))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(1, 4, sharey=True)
     panels = (
@@ -35,7 +35,7 @@ def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
             lambda c: None if c.distance is None else c.distance.over,
             1.0,
         ),
-        ("held by intervals that state 90 %", lambda c: c.inside[1], 0.9),
+        ("held by intervals of 90 %, in %", lambda c: 100 * c.inside[1], 90.0),
         ("seconds a draw", lambda c: c.seconds, None),
     )
     for axis, (title, value, right) in zip(axes, panels):
@@ -44,7 +44,7 @@ def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
         for row, problem in enumerate(problems):
             _marks(axis, row, found[problem], value)
         axis.set_title(title, fontsize=10)
-        if right != 0.9:
+        if right != 90.0:
             axis.set_xscale("log")
         axis.grid(axis="x", which="major", color="0.9", lw=0.6, zorder=-1)
         axis.spines[["top", "right", "left"]].set_visible(False)

@@ -76,14 +76,14 @@ def beside_reference(draws: np.ndarray, reference: np.ndarray, seconds: np.ndarr
     rng = np.random.default_rng(0)
     # The mean of (mean - truth)^2 over exact truths.
     error = np.mean((asked.mean(axis=1) - mean) ** 2 + sd**2)
-    count = draws.shape[1]
+    amplitudes, count = _apart(asked, exact, rng), draws.shape[1]
     spread = np.sqrt(np.mean(asked.var(axis=1, ddof=1)) * (1 + 1 / count) / error)
     return Cost(
         mean_off=_root_mean_square(off),
         sd_off=_root_mean_square(ratio - 1),
         ratio=float(np.exp(np.mean(np.log(ratio)))),
-        distance=_apart(asked, exact, rng),
-        whole=_apart(draws, reference, rng),
+        distance=amplitudes,
+        whole=_apart(draws, reference, rng) if np.iscomplexobj(draws) else amplitudes,
         inside=_inside(asked, exact, rng),
         spread=float(spread),
         psnr=None,
