@@ -45,9 +45,9 @@ def frechet_from_truths(
     (L = 1) that are smoother than pictures. The floor is that of the set of draws at hand: a
     distance below another's is nearer, whatever their floors.
 
-    What it cannot see: which draw is of which recording (pictures of something else, as good as the
-    truths, have a distance that is small, if not as small as the floor); anything but means and
-    covariances of the features; structure larger than a sample of theirs; whether intervals are
+    What it cannot see: which draw is of which recording (handed to the wrong ones they have the
+    same distance, and draws of the prior one as small as other pictures have); anything but means
+    and covariances of the features; structure larger than a sample of theirs; whether intervals are
     true. Samples of one picture are not independent: the pictures are the unit of the null.
 
     Raises ValueError for shapes that do not fit, fewer than 2 pictures and 19 relabellings.
