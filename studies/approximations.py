@@ -117,6 +117,8 @@ class OnPictures(NamedTuple):
 
     def __call__(self, variant: str, problem: str, index: int) -> np.ndarray:
         kind, perturbation = PICTURES[problem]
+        if perturbation != "signal" and (VARIANTS[variant].settings or {}).get("published"):
+            raise ValueError("the printed form is of the signal-dependent error: see its network")
         shape = self.truths.shape[1:]
         likelihood = LinearLikelihood(Identity(shape), Poisson(self.full_well))
         asked = Problem(likelihood, _loaded(kind, self.prior, shape, perturbation))

@@ -174,6 +174,15 @@ def test_pictures_are_answered_closer_than_they_were_recorded(problem, variant):
     assert error < 0.7 * np.sqrt(truths.mean() / 100)
 
 
+def test_pictures_refuse_what_does_not_apply():
+    """The printed form without its error, and a Metropolis test without a density."""
+    work = OnPictures(np.full((1, 16, 16), 0.3, np.float32), "nuclei", 100, 8, 2, 1, 0)
+    with pytest.raises(ValueError, match="of the signal-dependent error"):
+        work("printed", "pictures, energy network", 0)
+    with pytest.raises(ValueError, match="no density"):
+        work("printed + MALA", "pictures, score network", 0)
+
+
 @pytest.mark.parametrize(
     "options, words",
     [
