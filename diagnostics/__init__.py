@@ -20,7 +20,9 @@ from .distance import (
     sliced_wasserstein,
     two_sample_p,
 )
+from .features import HAAR, Features, bottleneck_features, haar_bands
 from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, psnr, ssim
+from .frechet import Frechet, frechet_from_truths, frechet_of_halves
 from .gauge import Gauge, align, gauge_to
 from .joint import JointTest, geweke
 from .modes import Modes, modes

@@ -103,12 +103,19 @@ def frechet_distance(features: np.ndarray, others: np.ndarray) -> float:
         raise ValueError(
             f"features of shape {sets[0].shape} and {sets[1].shape}: give (n, d), n of 2 or more"
         )
-    covariances = [np.atleast_2d(np.cov(s.T)) for s in sets]
+    moments = [(s.mean(axis=0), np.atleast_2d(np.cov(s.T))) for s in sets]
+    return frechet_of_moments(*moments[0], *moments[1])
+
+
+def frechet_of_moments(
+    mean: np.ndarray, covariance: np.ndarray, other_mean: np.ndarray, other_covariance: np.ndarray
+) -> float:
+    """Squared Frechet distance of two normals: means (d,), covariances (d, d)."""
     # The trace of the root of a product is that of a symmetric matrix, whose eigenvalues are real.
-    root = _root(covariances[0])
-    overlap = np.trace(_root(root @ covariances[1] @ root))
-    apart = np.sum((sets[0].mean(axis=0) - sets[1].mean(axis=0)) ** 2)
-    return float(apart + sum(np.trace(c) for c in covariances) - 2 * overlap)
+    root = _root(covariance)
+    overlap = np.trace(_root(root @ other_covariance @ root))
+    apart = np.sum((mean - other_mean) ** 2)
+    return float(apart + np.trace(covariance) + np.trace(other_covariance) - 2 * overlap)
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:

@@ -4,7 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..diagnostics.coverage import coverage
+from ..diagnostics.features import HAAR, Features
 from ..diagnostics.fidelity import crps, psnr, ssim
+from ..diagnostics.frechet import frechet_from_truths, frechet_of_halves
 from ..diagnostics.spread import spread_over_error
 from .harness import Answer
 from .systems import SYSTEMS
@@ -13,7 +15,8 @@ LEVELS = (0.5, 0.9)
 _BLOCK = 8
 _HEAD = (
     "system", "mean, dB", "paper, dB", "a draw, dB", "SSIM", "CRPS x 1000",
-    "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error", "s a draw", "MB",
+    "Frechet / floor (p)", "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error",
+    "s a draw", "MB",
 )  # fmt: skip
 # The paper's Table 1 has these noise levels.
 _PUBLISHED_AT = (0.025, 0.05, 0.1, 0.2)
@@ -71,8 +74,13 @@ def _image_mean(images: np.ndarray) -> np.ndarray:
     return images.mean((-2, -1))
 
 
-def as_table(condition: str, answers: dict[str, Answer], truths: np.ndarray) -> str:
-    """Markdown: a row for each system that answered `condition`, and why others did not."""
+def as_table(
+    condition: str, answers: dict[str, Answer], truths: np.ndarray, features: Features = HAAR
+) -> str:
+    """Markdown: a row for each system that answered `condition`, and why others did not.
+
+    Frechet distances are of `features`, beside what exchangeable pictures would have.
+    """
     lines = [
         f"## sigma_0 = {condition}",
         "",
@@ -81,9 +89,27 @@ def as_table(condition: str, answers: dict[str, Answer], truths: np.ndarray) -> 
     ]
     for system, answer in answers.items():
         if not answer.refusal:
-            row = _row(system, condition, judged(answer, truths))
+            row = _row(
+                system, condition, judged(answer, truths), _likeness(answer, truths, features)
+            )
             lines.append("| " + " | ".join(row) + " |")
-    return "\n".join([*lines, "", *refusals(answers)])
+    return "\n".join([*lines, "", _legend(truths, features), "", *refusals(answers)])
+
+
+def _likeness(answer: Answer, truths: np.ndarray, features: Features) -> str:
+    rng = np.random.default_rng(0)
+    found = frechet_from_truths(truths, answer.images, rng, features)
+    return f"{found.value:.2g} / {found.floor:.2g} ({found.p:.2f})"
+
+
+def _legend(truths: np.ndarray, features: Features) -> str:
+    halves = frechet_of_halves(truths, np.random.default_rng(0), features)
+    return (
+        f"Frechet: squared distance of all answers' images from the truths' by {features.name}, "
+        "each feature over its sd of the truths; floor: on average where one of the images of each "
+        "recording, truth or answer, is called its truth at random, and p by these. Two halves of "
+        f"the truths, which are of different pictures, are {halves:.2g} apart."
+    )
 
 
 def refusals(answers: dict[str, Answer]) -> list[str]:
@@ -96,7 +122,7 @@ def refusals(answers: dict[str, Answer]) -> list[str]:
     return [*lines, *([""] if lines else [])]
 
 
-def _row(system: str, condition: str, found: dict) -> list[str]:
+def _row(system: str, condition: str, found: dict, likeness: str) -> list[str]:
     published = dict(zip(_PUBLISHED_AT, SYSTEMS[system].published)).get(float(condition))
     row = [
         system,
@@ -104,9 +130,10 @@ def _row(system: str, condition: str, found: dict) -> list[str]:
         "" if published is None else f"{published}",
     ]
     if "spread" not in found:
-        row += ["", f"{found['ssim']:.3f}", *[""] * 5]
+        row += ["", f"{found['ssim']:.3f}", "", likeness, *[""] * 4]
     else:
         row += [f"{found['draw psnr']:.2f}", f"{found['ssim']:.3f}", f"{1000 * found['crps']:.1f}"]
+        row += [likeness]
         row += [shares(found[name]) for name in ("pixels", "blocks", "image mean")]
         row += [f"{found['spread']:.2f}"]
     return [*row, f"{found['seconds']:.2g}", f"{found['memory']:.0f}"]

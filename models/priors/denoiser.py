@@ -80,15 +80,29 @@ class Denoiser(eqx.Module):
         clean = self._preconditioned(folded, sigma, stats.mean, stats.sd)
         return jnp.maximum(clean, stats.lowest) if stats.perturbation == "signal" else clean
 
-    def _preconditioned(self, x: jax.Array, sigma: jax.Array, mean: float, sd: float) -> jax.Array:
+    def bottleneck(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """What a U-Net makes of (h, w, channels) at its coarsest level (h', w', features).
+
+        For the "gaussian" error; the picture `x` is taken for one that has it at `sigma`.
+        """
         stats = self.statistics
+        return self.network.bottleneck(*self._as_input(x, sigma, stats.mean, stats.sd))
+
+    def _preconditioned(self, x: jax.Array, sigma: jax.Array, mean: float, sd: float) -> jax.Array:
         s, variance = self.channel_sd(sigma), sd**2
         total = s**2 + variance
         centred = x - mean
+        raw = self.network(*self._as_input(x, sigma, mean, sd)).astype(x.dtype)
+        return mean + variance / total * centred + s * sd / jnp.sqrt(total) * raw
+
+    def _as_input(
+        self, x: jax.Array, sigma: jax.Array, mean: float, sd: float
+    ) -> tuple[jax.Array, jax.Array]:
+        """Of unit variance, and the log of the nearest trained level."""
+        stats = self.statistics
         trained = jnp.clip(sigma, stats.sigma_min, stats.sigma_max)
         level = jnp.log(self.channel_sd(trained) / sd)
-        raw = self.network(centred / jnp.sqrt(total), level).astype(x.dtype)
-        return mean + variance / total * centred + s * sd / jnp.sqrt(total) * raw
+        return (x - mean) / jnp.sqrt(self.channel_sd(sigma) ** 2 + sd**2), level
 
     def loss_weight(self, sigma: jax.Array) -> jax.Array:
         """1/c_out^2: every level counts alike in the loss."""

@@ -68,18 +68,26 @@ class UNet(eqx.Module):
         """The network's raw output; preconditioning is in denoiser.py."""
         level = self.embedding(log_level)
         fine = self.fine_in(x)
+        h, skips = self._shrunk(x, level)
+        for i in reversed(range(len(self.grow))):
+            h = skips[i] + scatter_pixels(self.grow[i](h))
+            h = _through(self.up[i], h, level)
+        fine = fine + scatter_pixels(self.coarse_out(jax.nn.silu(h)))
+        return self.fine_out(jax.nn.silu(self.fine_block(fine, level)))
+
+    def bottleneck(self, x: jax.Array, log_level: jax.Array) -> jax.Array:
+        """Features of the coarsest level, (h / stride, w / stride, its width)."""
+        return self._shrunk(x, self.embedding(log_level))[0]
+
+    def _shrunk(self, x: jax.Array, level: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+        """Those features, and what is handed over on the way down."""
         h, skips = self.coarse_in(gather_pixels(x)), []
         for i, blocks in enumerate(self.down):
             h = _through(blocks, h, level)
             if i < len(self.shrink):
                 skips.append(h)
                 h = self.shrink[i](gather_pixels(h))
-        h = self.middle(h, level)
-        for i in reversed(range(len(self.grow))):
-            h = skips[i] + scatter_pixels(self.grow[i](h))
-            h = _through(self.up[i], h, level)
-        fine = fine + scatter_pixels(self.coarse_out(jax.nn.silu(h)))
-        return self.fine_out(jax.nn.silu(self.fine_block(fine, level)))
+        return self.middle(h, level), skips
 
 
 class Block(eqx.Module):

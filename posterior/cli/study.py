@@ -10,8 +10,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ..diagnostics.features import HAAR, Features, bottleneck_features
 from ..files import replace_whole
 from ..models.camera import Poisson
+from ..models.priors import ScorePrior
 from ..models.priors.perturbation import PERTURBATIONS
 from ..models.priors.storage import card_of
 from ..studies import (
@@ -29,7 +31,7 @@ from ..studies import (
     read_captures,
 )
 from ..studies.denoising import electrons
-from . import study_phase
+from . import study_approximations, study_phase
 from .options import Quiet
 from .study_ptychography import command as ptychography
 
@@ -43,6 +45,7 @@ app = typer.Typer(
 app.command("ptychography")(ptychography)
 
 app.command("phase-retrieval")(study_phase.command)
+app.command("approximations")(study_approximations.command)
 
 Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
 Prior = Annotated[
@@ -76,6 +79,9 @@ def denoising(
     draws: Draws = 16,
     bits: Annotated[int, typer.Option(help="Of the ADC; 0: whole counts.")] = 8,
     seed: Seed = 0,
+    features: Annotated[
+        str, typer.Option(help="Of the Frechet distance: haar, or network, of the prior's own.")
+    ] = "haar",
     quiet: Quiet = False,
 ) -> None:
     """Pictures with a known truth, recorded with true Poisson counts and an ADC."""
@@ -85,6 +91,7 @@ def denoising(
     for value in sigma:
         Poisson(electrons(value), bits or None)
     truths = held_out(card_of(prior), data, part, pictures, size)
+    seen = _features(features, prior, truths.shape[1:])
     identity = {
         "study": "denoising", "weights": _weights(prior), "part": part, "size": size,
         "draws": draws, "bits": bits, "seed": seed, "first": _hash(truths[0]),
@@ -92,7 +99,7 @@ def denoising(
     work = Denoising(truths, prior, bits or None, draws, seed)
 
     def write(found: Found) -> None:
-        text = "\n".join(as_table(value, answers, truths) for value, answers in found.items())
+        text = "\n".join(as_table(value, answers, truths, seen) for value, answers in found.items())
         shown = {f"sigma_0 = {value}": answers for value, answers in found.items()}
         _write(out, text, shown, dict.fromkeys(shown, truths[0]))
 
@@ -173,6 +180,12 @@ def _run(
             found.setdefault(condition, {})[name] = answer
             write(found)
     print((out / "study.md").read_text(encoding="utf-8"), end="")
+
+
+def _features(name: str, prior: str, shape: tuple[int, ...]) -> Features:
+    if name not in ("haar", "network"):
+        raise ValueError(f"--features {name}: give haar or network")
+    return HAAR if name == "haar" else bottleneck_features(ScorePrior.load(prior, shape))
 
 
 def _weights(prior: str) -> dict[str, str]:

@@ -233,6 +233,7 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
         (("--prior", "nowhere"), "nowhere"),
         (("--pictures", "4"), "no file"),
         (("--bits", "17"), "17"),
+        (("--features", "inception"), "--features inception"),
     ],
 )
 def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
@@ -244,3 +245,18 @@ def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, wo
 
 def test_noise_levels_are_of_whole_electrons():
     assert [electrons(c) for c in ("0.025", "0.05", "0.1", "0.2")] == [1600, 400, 100, 25]
+
+
+def test_the_table_tells_pictures_from_smooth_answers_and_says_by_what():
+    """Exact draws are at the floor; their means, one a recording, are not."""
+    rng = np.random.default_rng(0)
+    means = rng.uniform(size=(16, 1, SIDE, SIDE))
+    images = means + 0.2 * rng.standard_normal((16, 21, SIDE, SIDE))
+    pictures, exact = images[:, 0], Answer(images[:, 1:], np.ones(16), 0)
+    smooth = exact._replace(images=means)
+    table = as_table("0.1", {"annealed": exact, "MMSE": smooth}, pictures)
+    cells = [row.split("|")[7].split() for row in table.splitlines() if row.startswith("| ")][1:]
+    (near, *_, p), (far, *_, small) = cells
+    assert float(far) > 3 * float(near)
+    assert float(small.strip("()")) < 0.05 < float(p.strip("()"))
+    assert "Haar bands of 8x8 patches" in table and "Two halves of the truths" in table
