@@ -44,6 +44,7 @@ def test_the_posterior_is_the_likelihood(x64, dtype):
     np.testing.assert_array_equal(posterior.score(x), likelihood.score(x, y))
 
 
+@pytest.mark.slow
 def test_mala_draws_the_distribution_of_least_squares(x64):
     posterior, mean, covariance = overdetermined(complex)
     start = jnp.zeros(3, complex)

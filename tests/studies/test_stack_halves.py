@@ -52,6 +52,7 @@ def test_the_true_object_has_the_residuals_of_photon_noise(study):
     assert min(wrong[::2]) > 3
 
 
+@pytest.mark.slow
 def test_systems_are_given_the_images_of_the_fitted_half(study):
     recording = study.recording()
     assert recording.measured and recording.y.shape == (13, LOW, LOW)
