@@ -21,9 +21,12 @@ ifdef POSTERIOR_DATA
 	$(BIN)/python -m pip install --quiet --constraint $(CONSTRAINTS) --editable '.[baselines]'
 endif
 	$(BIN)/python -m pytest -m slow --durations=0 -s
+	$(BIN)/posterior study approximations --out out/approximations
 ifdef POSTERIOR_DATA
 	$(BIN)/posterior study denoising --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/study
 	$(BIN)/posterior study measured --data "$(POSTERIOR_DATA)/fmd" --out out/measured
+	$(BIN)/posterior study phase-retrieval --data "$(POSTERIOR_DATA)/prdeep_natural6.npz" --out out/phase-retrieval
+	$(BIN)/posterior study ptychography --data "$(POSTERIOR_DATA)/fpm" --out out/ptychography
 endif
 
 bench: .venv/installed-test
