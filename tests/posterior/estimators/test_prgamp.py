@@ -57,7 +57,7 @@ def random_problem(dtype, seed):
 
 
 @pytest.mark.parametrize("dtype", [float, complex])
-@pytest.mark.parametrize("host", [False, True])
+@pytest.mark.parametrize("host", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_its_error_is_what_it_states_and_the_least_there_is(x64, dtype, host):
     """On random matrices; the least: of the posterior linearised about the truth."""
     if host and dtype is complex:
@@ -94,6 +94,7 @@ def test_its_error_is_what_it_states_and_the_least_there_is(x64, dtype, host):
     assert abs(np.mean(optimal) - 1) < slack, optimal
 
 
+@pytest.mark.slow
 def test_a_picture_behind_coded_diffraction_is_recovered_to_its_noise(x64):
     """No random matrix, yet near one; with the Wiener filter of the field it was drawn from."""
     side = 32
