@@ -28,7 +28,7 @@ from ..samplers import (
     TemperedSMC,
     Thickening,
 )
-from ..starts import annealed, for_ptychography, from_magnitudes, has_magnitudes
+from ..starts import annealed, by_admm, for_ptychography, from_magnitudes, has_magnitudes
 
 
 class Sampling(NamedTuple):
@@ -58,9 +58,11 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
 
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
     for an object behind a field from where its annealing error is 0.4 of the noise. There it begins
-    where a start is not forgotten, but its errors are: far-field magnitudes at half the sd of a
-    channel, other fields at 15 times the noise, for in the lowest frequencies quasi-Newton is that
-    far off: 12 of 16384 held 76 % of its draws' error at sigma_0 = 0.2.
+    where a start is not forgotten, but its errors are: far-field magnitudes of real objects at 4
+    times the noise, from the ends of ADMM (`starts.by_admm`; at half the sd of a channel, where
+    those of complex objects begin, annealing loses its valley: 3 dB); other fields at 15 times
+    the noise, for in the lowest frequencies quasi-Newton is that far off: 12 of 16384 held 76 % of
+    its draws' error at sigma_0 = 0.2.
     """
     prior, steps = posterior.prior, {"steps": 4, "path": path}
     if prior.perturbation == "signal":
@@ -72,7 +74,7 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     noise = float(posterior.data_level())
     finest = max(0.4 * noise, prior.finest)
     if has_magnitudes(posterior.likelihood.optics):
-        broadest = float(prior.scale) / 2
+        broadest = 4 * noise if _by_admm(posterior) else float(prior.scale) / 2
     else:
         broadest = min(max(float(prior.scale), 15 * noise), prior.statistics.sigma_max)
     return AnnealedLangevin(levels=60, sigma_max=max(broadest, finest), sigma_min=finest, **steps)
@@ -114,9 +116,10 @@ def start_of(
 
     From intensities of a field, a chain that starts at random stays in the wrong valley, so each
     starts at the end of an annealing run of its own; behind a Fourier transform, of the best of
-    several, which start from hybrid input-output. Under a learned prior ptychography starts from
-    quasi-Newton, where no LED is a dark field from an annealing run from there, a `measured` stack
-    from halves of itself. "split" cannot travel at all.
+    several, which start from hybrid input-output. Under a learned prior a real object behind one
+    starts from plug-and-play ADMM (`starts.by_admm`); ptychography from quasi-Newton, where no LED
+    is a dark field from an annealing run from there, and a `measured` stack from halves of itself.
+    "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
     if posterior.likelihood.linear:
@@ -131,11 +134,19 @@ def start_of(
     if isinstance(posterior.prior, LearnedPrior):
         if not magnitudes:
             return _ptychography_start(posterior, key, chains, progress, measured)
+        if _by_admm(posterior):
+            return by_admm(posterior, key, chains)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
     search = from_magnitudes if magnitudes else annealed
     return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains, progress=progress)
+
+
+def _by_admm(posterior: Posterior) -> bool:
+    """Whether ADMM starts phase retrieval: measured on real objects alone."""
+    prior = posterior.prior
+    return not prior.complex_valued and prior.perturbation == "gaussian"
 
 
 def _ptychography_start(
