@@ -1,5 +1,8 @@
 """Systems side by side: every method on the same recordings, with quality, calibration and cost."""
 
+from .approximations import Approximations, OnPictures
+from .approximations_plot import cost_picture
+from .approximations_report import cost_table, costs
 from .denoising import Denoising
 from .harness import Answer, measure
 from .measured import Captures, Measured, names_of, read_captures
@@ -18,36 +21,41 @@ from .systems import SYSTEMS
 
 __all__ = [
     "PHASE_SYSTEMS",
-    "PhaseRetrieval",
-    "aligned",
-    "judged_phases",
-    "phase_table",
-    "pictures_of",
-    "protocol_notes",
-    "variance_picture",
     "PTYCHOGRAPHY_SYSTEMS",
     "SYSTEMS",
     "Answer",
+    "Approximations",
     "Captures",
     "Condition",
     "Denoising",
     "Judged",
     "Measured",
+    "OnPictures",
+    "PhaseRetrieval",
     "Ptychography",
     "StackHalves",
+    "aligned",
     "as_table",
+    "cost_picture",
+    "cost_table",
+    "costs",
     "held_out",
     "judged",
     "judged_capture",
     "judged_objects",
+    "judged_phases",
     "left_over",
     "measure",
     "measured_table",
     "model_table",
     "names_of",
+    "phase_table",
     "picture",
+    "pictures_of",
+    "protocol_notes",
     "ptychography_table",
     "read_captures",
     "specimens",
     "stack_table",
+    "variance_picture",
 ]

@@ -15,7 +15,7 @@ from ..presets import start_of
 from ..problem import Posterior, Problem
 from ..samplers import MALA, AnnealedLangevin
 from ..sampling import sample
-from ..starts import has_magnitudes
+from ..starts import annealed
 
 # The paper's applications, on problems of the gallery.
 APPLICATIONS = {
@@ -34,16 +34,17 @@ PICTURES = {
     "pictures, energy network": (EnergyPrior, "gaussian"),
 }
 EXACT = "exact"
-# Chains of MALA, and searches for a start behind a Fourier transform.
-CHAINS, _STARTS = 8, 8
+# Of MALA.
+CHAINS = 8
 _POLISH, _THIN = 200, 25
 
 
 class Variant(NamedTuple):
     """`settings` of AnnealedLangevin, None: MALA by itself; `started`: at an estimate or nowhere.
 
-    The estimate is where a run along the convolved path ends, of counts the recording: "split"
-    could have no kinder start.
+    The estimate is where a run along the convolved path ends, one for each draw, and of counts the
+    recording: "split", which cannot travel, could have no kinder start. (The paper's, a noised
+    solution of hybrid input-output, would add errors of its own: all draws would be of one twin.)
     """
 
     settings: dict[str, object] | None
@@ -60,8 +61,8 @@ VARIANTS = {
         f"and {_POLISH} Metropolis-adjusted steps on the exact posterior",
     ),
     "split": Variant({"path": "split"}, True, "the consistent score, on the paper's path"),
-    "split, no start": Variant({"path": "split"}, False, "the same from a start at random"),
-    "convolved": Variant({"path": "convolved"}, False, "the usual path, from a start at random"),
+    "split, no start": Variant({"path": "split"}, False, "the same from draws of the prior"),
+    "convolved": Variant({"path": "convolved"}, False, "the usual path, from draws of the prior"),
     "convolved + MALA": Variant(
         {"path": "convolved", "polish": _POLISH}, False, f"and {_POLISH} steps of MALA"
     ),
@@ -134,7 +135,7 @@ def answered(
     """Draws (draws, *shape). Raises ValueError where the variant does not apply."""
     key_start, key = jax.random.split(key)
     if variant.settings is None:
-        start = start_of("mala", posterior, key_start, CHAINS)
+        start = _estimates(posterior, key_start, CHAINS, levels, steps)
         run = sample(
             posterior, MALA(), key, chains=CHAINS, draws=draws // CHAINS, thin=_THIN, start=start,
             progress=False,
@@ -142,12 +143,19 @@ def answered(
         return run.values.reshape(draws, *posterior.shape)
     start = None
     if variant.started:
-        searches = min(_STARTS, draws) if has_magnitudes(posterior.likelihood.optics) else draws
-        start = start_of("annealed-split", posterior, key_start, searches)
-        start = np.resize(np.asarray(start), (draws, *posterior.shape))
+        start = _estimates(posterior, key_start, draws, levels, steps)
     sampler = AnnealedLangevin(levels=levels, steps=steps, **variant.settings)
     run = sample(posterior, sampler, key, chains=draws, draws=1, start=start, progress=False)
     return run.values[:, 0]
+
+
+def _estimates(
+    posterior: Posterior, key: jax.Array, count: int, levels: int, steps: int
+) -> np.ndarray:
+    """Where draws start (count, *shape)."""
+    if posterior.likelihood.linear:
+        return start_of("annealed-split", posterior, key, count)
+    return annealed(posterior, AnnealedLangevin(levels=levels, steps=steps), key, count)
 
 
 @cache

@@ -120,20 +120,20 @@ def test_the_command_shows_the_printed_form_too_wide_and_goes_on(tmp_path, capsy
 
     Sds of 64 draws err by 9 %, and the printed form is 2 to 2.8 times too wide.
     """
-    options = (*TINY, "--variant", "printed", "--variant", "convolved")
+    options = (*TINY, "--variant", "printed")
     assert not run(tmp_path / "out", *options)
     table = (tmp_path / "out" / "study.md").read_text()
     assert capsys.readouterr().out == table
     ratio = {name: float(cell) for name, cell in column(table, "ratio of sds").items()}
     assert ratio["printed"] > 1.6
-    assert 0.75 < ratio["convolved"] < 1.3 and 0.75 < ratio[EXACT] < 1.3
+    assert 0.75 < ratio[EXACT] < 1.3
     half = {name: float(cell.split()[0]) for name, cell in column(table, "in 50 / 90 %").items()}
-    assert half["printed"] > 65 > half["convolved"]
+    assert half["printed"] > 65 > half[EXACT]
     with Image.open(tmp_path / "out" / "study.png") as picture:
         assert picture.size[0] > 1000
     kept = sorted((tmp_path / "out" / "answers").rglob("*.npz"))
     written = [path.stat().st_mtime_ns for path in kept]
-    assert len(kept) == 3 * 2 and not run(tmp_path / "out", *options)
+    assert len(kept) == 2 * 2 and not run(tmp_path / "out", *options)
     assert [path.stat().st_mtime_ns for path in kept] == written
     assert capsys.readouterr().out == table
     assert run(tmp_path / "out", *options, "--seed", "1") == 2
@@ -141,18 +141,26 @@ def test_the_command_shows_the_printed_form_too_wide_and_goes_on(tmp_path, capsy
 
 
 @pytest.mark.slow
+def test_only_the_printed_form_is_too_wide_on_one_complex_pixel():
+    """Sds of 200 draws on 6 recordings: 2 % of the ratio, and the few per cent of annealing."""
+    work = Approximations(200, 1000, 200, 5, 0)
+    drawn = {v: np.stack([work(v, PIXEL, i) for i in range(6)]) for v in (EXACT, *VARIANTS)}
+    for name in VARIANTS:
+        found = beside_reference(drawn[name], drawn[EXACT], np.ones(6))
+        print(name, found)
+        assert (found.ratio > 1.6) if name == "printed" else (0.85 < found.ratio < 1.15)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_answers_six_pixels_of_ptychography(variant):
-    """All but the printed form and a split path from nowhere are within 30 % of the exact width."""
+    """All but the printed form are within 30 % of the exact width."""
     work, problem = Approximations(64, 400, 100, 5, 0), "ptychography, 6 x 6"
     exact, draws = (np.stack([work(v, problem, i) for i in (0, 1)]) for v in (EXACT, variant))
     assert draws.shape == (2, 64, 6, 6) and np.iscomplexobj(draws)
     found = beside_reference(draws, exact, np.ones(2))
     print(variant, found)
-    if variant == "printed":
-        assert found.ratio > 1.6
-    elif variant != "split, no start":
-        assert 0.7 < found.ratio < 1.3
+    assert found.ratio > 1.6 if variant == "printed" else 0.7 < found.ratio < 1.3
 
 
 @pytest.mark.slow
