@@ -180,6 +180,26 @@ def test_the_best_ends_of_admm_explain_the_recording_better_than_its_solutions()
     np.testing.assert_allclose(first[0], found[0], atol=1e-6)
 
 
+def test_under_a_learned_prior_real_objects_start_from_admm_and_complex_ones_from_a_search(
+    monkeypatch,
+):
+    """And annealing begins near the noise where the start is to be kept, else broadly."""
+    used = []
+    for name in ("by_admm", "from_magnitudes"):
+        monkeypatch.setattr(presets.samplers, name, lambda *_, name=name: used.append(name))
+    optics = models.Fourier((16, 16), oversampling=2)
+    likelihood = IntensityLikelihood(optics, Poisson(100_000), 1 / 400)
+    for complex_valued, search in ((False, "by_admm"), (True, "from_magnitudes")):
+        prior = ScorePrior(wiener("score", complex_valued, dtype="float32"), (16, 16))
+        y = likelihood.simulate(jax.random.key(0), np.ones((16, 16), np.float32))
+        posterior = Problem(likelihood, prior).condition(y)
+        presets.start_of("annealed", posterior, jax.random.key(1), 1)
+        assert used.pop() == search
+        broadest = presets.learned_annealing(posterior).sigma_max
+        near = 4 * float(posterior.data_level())
+        assert broadest == (float(prior.scale) / 2 if complex_valued else near)
+
+
 def test_behind_bright_fields_alone_chains_start_from_a_run_each():
     """Their slow phases are not those of quasi-Newton, to which no LED told them."""
     prior = ScorePrior(wiener("score", True, dtype="float32"), (16, 16))
