@@ -43,7 +43,7 @@ def measured(picture, alpha, key):
 
 
 @pytest.mark.parametrize("alpha", PRDEEP)
-def test_the_posterior_mean_beats_prdeep(alpha):
+def test_the_posterior_mean_beats_the_published(alpha):
     """One chain, in the valley that it found for itself; the score is blind to flips and shifts."""
     pictures = np.load(os.path.join(os.environ["POSTERIOR_DATA"], "prdeep_natural6.npz"))
     found = []
@@ -74,6 +74,6 @@ def test_the_posterior_mean_beats_prdeep(alpha):
     alone, ours, draw, mean = np.mean(found, axis=0)
     print(
         f"alpha {alpha}, six pictures: {alone:.1f}, {ours:.1f}, {draw:.1f}, {mean:.1f} dB, "
-        f"prDeep as published {PRDEEP[alpha]} dB"
+        f"published: prDeep {PRDEEP[alpha]} dB, the paper {PAPER[alpha]}"
     )
-    assert mean > PRDEEP[alpha]
+    assert mean > max(PRDEEP[alpha], PAPER[alpha])
