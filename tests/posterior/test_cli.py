@@ -213,8 +213,8 @@ def test_ptychography_of_a_complex_specimen(folder, tmp_path, few_levels):
     extra = ("--sampler", "annealed", "--draws", 1, "--chains", 2)
     settings = _run(folder, tmp_path / "run", *extra, problem="ptychography", image="specimen.npy")
     assert _files(tmp_path / "run") == COMPLEX
-    covered = {"coverage_amplitude", "coverage_phase"}
-    assert set(settings["results"]) == covered | {"psnr_mean", "misfit"}
+    # Two draws hold a third of the truths between them: nothing is said of 90 %.
+    assert set(settings["results"]) == {"psnr_mean", "misfit"}
     assert any("convergence is not checked" in w for w in settings["warnings"])
     assert any("annealed is approximate" in w for w in settings["warnings"])
     draws = ps.load(tmp_path / "run" / "draws.nc")
