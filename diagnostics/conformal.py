@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .ranks import check_beside
-from .spread import interval
+from .spread import ends_at_ranks, interval
 
 
 class Repair(NamedTuple):
@@ -83,8 +83,8 @@ def widened(values: np.ndarray, repair: Repair) -> tuple[np.ndarray, np.ndarray]
 
 def _needed_factors(draws: np.ndarray, truths: np.ndarray, level: float) -> np.ndarray:
     """By what the interval of each pixel must be widened to hold its truth, (n, pixels)."""
-    ends = (1 - level) / 2, 0.5, (1 + level) / 2
-    low, middle, high = np.quantile(draws, ends, axis=1, method="weibull")
+    low, high = ends_at_ranks(draws, level, axis=1)
+    middle = np.median(draws, axis=1)
     side = np.where(truths > middle, high - middle, middle - low)
     off = np.abs(truths - middle)
     if np.any((side == 0) & (off > 0)):

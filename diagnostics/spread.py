@@ -12,10 +12,14 @@ def interval(values: np.ndarray, level: float = 0.9) -> tuple[np.ndarray, np.nda
     2/(1 - level) - 1 draws, 19 at 90 %, hold (n - 1)/(n + 1) at most: the ends are then the least
     and the largest.
     """
+    return ends_at_ranks(_flat(values), level, axis=0)
+
+
+def ends_at_ranks(draws: np.ndarray, level: float, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Those ends along the one axis that `draws` are counted on."""
     if not 0 < level < 1:
         raise ValueError(f"level {level}: it must lie between 0 and 1")
-    ends = (1 - level) / 2, (1 + level) / 2
-    low, high = np.quantile(_flat(values), ends, axis=0, method="weibull")
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2], axis, method="weibull")
     return low, high
 
 
