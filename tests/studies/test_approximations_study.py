@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 from scipy.stats import norm
 
-from posterior.cli import main
 from posterior.studies.approximations import EXACT, VARIANTS, Approximations, OnPictures
 from posterior.studies.approximations_plot import cost_picture
 from posterior.studies.approximations_report import beside_reference, beside_truths, costs
 from posterior.studies.harness import Answer
+from studies_command import assert_refused, exit_code
 
 PIXEL = "complex pixel, sigma_0 0.1"
 
@@ -96,10 +96,7 @@ def test_every_variant_has_the_same_recording_and_another_each_index():
 
 
 def run(out, *options):
-    arguments = ["study", "approximations", "--out", str(out), "--quiet", *options]
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    return stopped.value.code
+    return exit_code("approximations", out, *options)
 
 
 TINY = (
@@ -203,7 +200,5 @@ def test_pictures_refuse_what_does_not_apply():
     ],
 )
 def test_the_command_refuses_in_a_sentence(tmp_path, capsys, options, words):
-    assert run(tmp_path / "out", *options) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    assert_refused(run(out, *options), out, capsys, words)

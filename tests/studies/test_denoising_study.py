@@ -8,13 +8,13 @@ import pytest
 from PIL import Image
 
 from posterior import models
-from posterior.cli import main
 from posterior.diagnostics.fidelity import psnr
 from posterior.models.priors.denoiser import Denoiser, Statistics
 from posterior.models.priors.storage import build_network, card_of, save_weights
 from posterior.studies import SYSTEMS, Answer, Denoising, as_table, held_out, judged
 from posterior.studies.denoising import electrons
 from posterior.train import Preparation
+from studies_command import assert_refused, exit_code
 
 SIDE = 16
 
@@ -204,10 +204,8 @@ def test_figures_in_colour_are_those_of_the_planes():
 
 
 def run(folder, out, *options):
-    arguments = ["study", "denoising", "--data", str(folder), "--out", str(out), "--quiet"]
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments, "--pictures", "2", "--size", str(SIDE), "--draws", "2", *options])
-    return stopped.value.code
+    few = ("--pictures", 2, "--size", SIDE, "--draws", 2)
+    return exit_code("denoising", out, "--data", folder, *few, *options)
 
 
 def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
@@ -237,10 +235,8 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     ],
 )
 def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
-    assert run(folder, tmp_path / "out", *options) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    assert_refused(run(folder, out, *options), out, capsys, words)
 
 
 def test_noise_levels_are_of_whole_electrons():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from posterior.cli import main
 from posterior.estimators import PhotonTransfer
 from posterior.studies import (
     Answer,
@@ -15,6 +14,7 @@ from posterior.studies import (
     measured_table,
     read_captures,
 )
+from studies_command import assert_refused, exit_code
 
 GAIN, OFFSET, FRAMES, SIDE, PATCHES = 5, 5, 50, 32, 12
 SHAPE, RATE = 4.0, 0.4  # of the gamma distribution that photons are drawn from
@@ -173,10 +173,8 @@ def folder(tmp_path):
 
 
 def run(folder, out, *options):
-    arguments = ["study", "measured", "--data", str(folder), "--out", str(out), "--quiet"]
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments, "--pictures", "2", "--size", "16", "--draws", "2", *options])
-    return stopped.value.code
+    few = ("--pictures", 2, "--size", 16, "--draws", 2)
+    return exit_code("measured", out, "--data", folder, *few, *options)
 
 
 def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
@@ -205,10 +203,8 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     ],
 )
 def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, words):
-    assert run(folder, tmp_path / "out", *options) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    assert_refused(run(folder, out, *options), out, capsys, words)
 
 
 def test_a_folder_or_a_picture_that_is_none_is_refused(folder, tmp_path, capsys):

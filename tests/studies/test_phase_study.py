@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from posterior.cli import main
 from posterior.diagnostics.fidelity import psnr
 from posterior.models.priors.storage import card_of
 from posterior.studies import (
@@ -18,6 +17,7 @@ from posterior.studies import (
     variance_picture,
 )
 from posterior.studies.phase_retrieval import Condition
+from studies_command import assert_refused, exit_code
 
 SIDE = 16
 
@@ -231,10 +231,7 @@ def test_pictures_are_those_of_the_file_or_the_validation_pictures_of_the_card(s
 
 
 def run(data, out, *options):
-    arguments = ["study", "phase-retrieval", "--data", str(data), "--out", str(out), "--quiet"]
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments, *options])
-    return stopped.value.code
+    return exit_code("phase-retrieval", out, "--data", data, *options)
 
 
 def test_the_command_writes_tables_and_pictures(six, tmp_path, capsys):
@@ -274,7 +271,5 @@ def test_a_study_with_draws_has_a_picture_of_their_variance(six, tmp_path):
     ],
 )
 def test_the_command_refuses_in_a_sentence(six, tmp_path, capsys, options, words):
-    assert run(six, tmp_path / "out", *options) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    assert_refused(run(six, out, *options), out, capsys, words)
