@@ -112,10 +112,9 @@ def _section(name: str, example: Example, settings: dict[str, Any]) -> str:
         figure=f"{name}/figure.png",
         caption=example.caption,
         file=settings["input"]["file"],
-        prior=_prior(options["prior"], settings["prior"]),
         numbers=numbers,
         doubts=doubts or "- nothing speaks against believing the intervals",
-        **{name: value for name, value in options.items() if name != "prior"},
+        **options | {"prior": _prior(options["prior"], settings["prior"])},
     )
 
 

@@ -135,7 +135,7 @@ def start_of(
         if not magnitudes:
             return _ptychography_start(posterior, key, chains, progress, measured)
         if _by_admm(posterior):
-            return by_admm(posterior, key, chains)
+            return by_admm(posterior, key, chains, progress)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
