@@ -11,7 +11,7 @@ from ..diagnostics.ranks import randomised_ranks
 from ..diagnostics.spread import spread_over_error
 from .approximations import APPLICATIONS, EXACT, VARIANTS
 from .harness import Answer
-from .report import refusals
+from .report import refusals, row_of
 
 LEVELS = (0.5, 0.9)
 # Exact draws that are taken for truths, and pairs of exact sets that the noise floor is of.
@@ -126,13 +126,16 @@ def costs(answers: dict[str, Answer], truths: np.ndarray) -> dict[str, Cost]:
     return found
 
 
-def cost_table(found: dict[str, dict[str, Answer]], truths: dict[str, np.ndarray]) -> str:
-    """Markdown: a row for each problem and variant, and what the columns and variants are."""
-    lines = ["| " + " | ".join(_HEAD) + " |", "|" + "---|" * len(_HEAD)]
-    for problem, answers in found.items():
-        for name, cost in costs(answers, truths[problem]).items():
+def cost_table(costed: dict[str, dict[str, Cost]], found: dict[str, dict[str, Answer]]) -> str:
+    """Markdown: a row for each problem and variant, and what the columns and variants are.
+
+    `costed`: the `costs` of each problem's answers in `found`, which tell what was refused.
+    """
+    lines = [row_of(_HEAD), "|" + "---|" * len(_HEAD)]
+    for problem, variants in costed.items():
+        for name, cost in variants.items():
             first = [APPLICATIONS.get(problem, "Poisson denoising"), problem, name]
-            lines.append("| " + " | ".join([*first, *_cells(cost)]) + " |")
+            lines.append(row_of([*first, *_cells(cost)]))
     about = [f"- {name}: {variant.about}" for name, variant in VARIANTS.items()]
     refused = [
         line.replace("- ", f"- {problem}, ", 1)

@@ -5,7 +5,7 @@ import numpy as np
 from ..diagnostics.residuals import Residuals, residual_checks
 from .harness import Answer
 from .measured import CLEAR, Captures, Measured
-from .report import judged, refusals, shares
+from .report import judged, refusals, row_of, shares
 
 _HEAD = (
     "system", "mean, dB", "as averaged", "a draw, dB", "SSIM", "CRPS x 1000", "pixels in 50 / 90 %",
@@ -68,9 +68,9 @@ def _about(y: np.ndarray, draw: np.ndarray, well: int) -> Residuals:
 
 def measured_table(study: Measured, field: str, answers: dict[str, Answer]) -> str:
     """Markdown: a row for each system that answered, in the capture's light unless said."""
-    lines = [f"## {field}", "", _line(_HEAD), "|" + "---|" * len(_HEAD)]
+    lines = [f"## {field}", "", row_of(_HEAD), "|" + "---|" * len(_HEAD)]
     lines += [
-        _line(_row(study, field, name, answer))
+        row_of(_row(study, field, name, answer))
         for name, answer in answers.items()
         if not answer.refusal
     ]
@@ -94,7 +94,7 @@ def _row(study: Measured, field: str, system: str, answer: Answer) -> list[str]:
 
 def model_table(fields: dict[str, Captures]) -> str:
     """Markdown: the camera of each field, and what its noise model leaves over in each capture."""
-    lines = [_line(_MODEL_HEAD), "|" + "---|" * len(_MODEL_HEAD)]
+    lines = [row_of(_MODEL_HEAD), "|" + "---|" * len(_MODEL_HEAD)]
     for name, field in fields.items():
         found = field.transfer
         camera = [
@@ -103,13 +103,9 @@ def model_table(fields: dict[str, Captures]) -> str:
         ]
         for i in range(len(field.captures)):
             first = [name, *camera] if i == 0 else ["", "", ""]
-            lines.append(_line([*first, f"{field.light(i):.3f}", *_checks(field.residuals(i))]))
+            lines.append(row_of([*first, f"{field.light(i):.3f}", *_checks(field.residuals(i))]))
     return "\n".join(["## Does the noise model hold?", "", *lines, ""])
 
 
 def _checks(found: Residuals) -> list[str]:
     return [f"{check.value:.3f} ± {check.error:.3f}" for check in found]
-
-
-def _line(cells: tuple[str, ...] | list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

@@ -12,7 +12,7 @@ from ..models.optics import CIRCULAR_SHIFT, CONJUGATE_FLIP
 from .harness import Answer
 from .phase_retrieval import Condition, PhaseRetrieval
 from .phase_systems import PHASE_SYSTEMS
-from .report import LEVELS, refusals, shares
+from .report import LEVELS, refusals, row_of, shares
 
 _HEAD = (
     "system", "mean, dB", "sd over pictures", "published, dB", "a draw, dB", "SSIM",
@@ -20,8 +20,6 @@ _HEAD = (
 )  # fmt: skip
 # The paper's Table 2 has these noise levels.
 _PUBLISHED_AT = (2.0, 3.0, 4.0)
-
-
 _SYMMETRIES = [CONJUGATE_FLIP, CIRCULAR_SHIFT]
 
 
@@ -81,14 +79,16 @@ def _by_picture(values: list[float], pictures: int) -> np.ndarray:
     return np.array([np.mean(values[i::pictures]) for i in range(pictures)])
 
 
-def phase_table(study: PhaseRetrieval, condition: str, answers: dict[str, Answer]) -> str:
-    """Markdown: a row for each system that answered, and why others did not."""
+def phase_table(
+    study: PhaseRetrieval, condition: str, judged: dict[str, dict], answers: dict[str, Answer]
+) -> str:
+    """Markdown: a row for each system that answered, and why others did not.
+
+    `judged`: the `judged_phases` of those that did.
+    """
     lines = [f"## alpha = {condition.replace('-', ', ', 1)}", "", measured_as(study, condition), ""]
-    lines += ["| " + " | ".join(_HEAD) + " |", "|" + "---|" * len(_HEAD)]
-    for system, answer in answers.items():
-        if not answer.refusal:
-            row = _row(system, condition, judged_phases(study, condition, answer))
-            lines.append("| " + " | ".join(row) + " |")
+    lines += [row_of(_HEAD), "|" + "---|" * len(_HEAD)]
+    lines += [row_of(_row(system, condition, found)) for system, found in judged.items()]
     return "\n".join([*lines, "", *refusals(answers)])
 
 

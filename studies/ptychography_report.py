@@ -13,7 +13,7 @@ from ..models.optics import GLOBAL_PHASE
 from .harness import Answer
 from .ptychography import Ptychography
 from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS
-from .report import LEVELS, refusals, shares
+from .report import LEVELS, refusals, row_of, shares
 
 _PROTOCOL = """\
 Mean and standard error over objects, each turned by the global phase that brings it nearest to the
@@ -113,8 +113,8 @@ def ptychography_table(
     condition: str, judged: dict[str, Judged], answers: dict[str, Answer]
 ) -> str:
     """Markdown: a row for each system that answered, and why others did not."""
-    lines = [f"## {condition}", "", _line(_HEAD), "|" + "---|" * len(_HEAD)]
-    lines += [_line(_row(system, found)) for system, found in judged.items()]
+    lines = [f"## {condition}", "", row_of(_HEAD), "|" + "---|" * len(_HEAD)]
+    lines += [row_of(_row(system, found)) for system, found in judged.items()]
     return "\n".join([*lines, "", *refusals(answers)])
 
 
@@ -138,7 +138,3 @@ def _row(system: str, found: Judged) -> list[str]:
 def _with_error(values: np.ndarray, digits: int) -> str:
     error = values.std(ddof=1) / np.sqrt(len(values))
     return f"{values.mean():.{digits}f} ± {error:.{digits}f}"
-
-
-def _line(cells: tuple[str, ...] | list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

@@ -1,5 +1,7 @@
 """What the answers are worth: a table for each condition, and the first picture as each sees it."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -84,7 +86,7 @@ def as_table(
     lines = [
         f"## sigma_0 = {condition}",
         "",
-        "| " + " | ".join(_HEAD) + " |",
+        row_of(_HEAD),
         "|" + "---|" * len(_HEAD),
     ]
     for system, answer in answers.items():
@@ -92,8 +94,13 @@ def as_table(
             row = _row(
                 system, condition, judged(answer, truths), _likeness(answer, truths, features)
             )
-            lines.append("| " + " | ".join(row) + " |")
+            lines.append(row_of(row))
     return "\n".join([*lines, "", _legend(truths, features), "", *refusals(answers)])
+
+
+def row_of(cells: Iterable[str]) -> str:
+    """A row of a table in Markdown."""
+    return "| " + " | ".join(cells) + " |"
 
 
 def _likeness(answer: Answer, truths: np.ndarray, features: Features) -> str:

@@ -14,7 +14,7 @@ from ..presets import prior_scale
 from ..stacks import Stack, dispersed, grid, in_electrons, least_upsampling, read_stack
 from .harness import Answer
 from .ptychography_systems import PTYCHOGRAPHY_SYSTEMS, Recording
-from .report import refusals
+from .report import refusals, row_of
 
 CONDITION = "half of the LEDs"
 _HEAD = (
@@ -109,11 +109,11 @@ def stack_table(study: StackHalves, answers: dict[str, Answer]) -> str:
         "Squared residuals over the variance of photon noise, sum over sum: 1 where photons alone "
         "scatter.\n"
     )
-    lines = [text, _line(_HEAD), "|" + "---|" * len(_HEAD)]
-    lines.append(_line(["calibration", *_numbers(study.residuals(study.found.object)), *[""] * 4]))
+    lines = [text, row_of(_HEAD), "|" + "---|" * len(_HEAD)]
+    lines.append(row_of(["calibration", *_numbers(study.residuals(study.found.object)), *[""] * 4]))
     for name, answer in answers.items():
         if not answer.refusal:
-            lines.append(_line([name, *_row(study, answer)]))
+            lines.append(row_of([name, *_row(study, answer)]))
     return "\n".join([*lines, "", *refusals(answers)])
 
 
@@ -126,7 +126,3 @@ def _row(study: StackHalves, answer: Answer) -> list[str]:
 
 def _numbers(values: tuple[float, ...]) -> list[str]:
     return [f"{value:.2f}" for value in values]
-
-
-def _line(cells: tuple[str, ...] | list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -120,6 +121,14 @@ def _known(kind: str, name: str, table: dict[str, Any]) -> Any:
     if name not in table:
         raise ValueError(f"unknown {kind} {name!r}: use one of {', '.join(table)}")
     return table[name]
+
+
+def asked_of(kind: str, asked: list[str] | None, known: Iterable[str]) -> list[str]:
+    """The names asked for, all that are known if none is; refuses an unknown one."""
+    for name in asked or ():
+        if name not in known:
+            raise ValueError(f"unknown {kind} {name!r}: use one of {'; '.join(known)}")
+    return list(asked or known)
 
 
 def _check_range(option: str, value: int | None, least: int, most: int | None) -> None:

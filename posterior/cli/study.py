@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import os
 from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
@@ -31,9 +32,8 @@ from ..studies import (
     read_captures,
 )
 from ..studies.denoising import electrons
-from . import study_approximations, study_phase
-from .options import Quiet
-from .study_ptychography import command as ptychography
+from . import study_approximations, study_phase, study_ptychography
+from .options import Quiet, asked_of
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
 
@@ -42,9 +42,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Compare systems on the same recordings; a study that was stopped goes on.",
 )
-app.command("ptychography")(ptychography)
-
 app.command("phase-retrieval")(study_phase.command)
+app.command("ptychography")(study_ptychography.command)
 app.command("approximations")(study_approximations.command)
 
 Out = Annotated[Path, typer.Option(help="Folder for the answers, the table and the picture.")]
@@ -59,6 +58,13 @@ Pictures = Annotated[int, typer.Option(help="2 or more.")]
 Size = Annotated[int, typer.Option(help="Side of the square patches.")]
 Draws = Annotated[int, typer.Option(help="Of each system that samples, 2 or more.")]
 Seed = Annotated[int, typer.Option(help="Same seed, same recordings and draws.")]
+
+
+@app.callback()
+def leave_memory() -> None:
+    """On an accelerator this process judges beside those that work, and would fill it."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+
 
 # What a study found so far: answers of its systems, by condition.
 Found = dict[str, dict[str, Answer]]
@@ -151,10 +157,7 @@ def measured(
 
 
 def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:
-    names = system or list(SYSTEMS)
-    for name in names:
-        if name not in SYSTEMS:
-            raise ValueError(f"unknown system {name!r}: use one of {'; '.join(SYSTEMS)}")
+    names = asked_of("system", system, SYSTEMS)
     if min(pictures, draws) < 2:
         raise ValueError(f"--pictures {pictures}, --draws {draws}: give 2 or more of both")
     return names

@@ -19,10 +19,10 @@ from ..studies.approximations import (
     OnPictures,
 )
 from ..studies.approximations_plot import cost_picture
-from ..studies.approximations_report import cost_table, costs
+from ..studies.approximations_report import Cost, cost_table, costs
 from ..studies.harness import Answer, measure
 from ..studies.pictures import held_out
-from .options import Quiet
+from .options import Quiet, asked_of
 
 # Score networks err by more the longer they are followed: their presets have 45 levels of 4 steps.
 _PICTURE_LEVELS, _PICTURE_STEPS = 45, 4
@@ -56,8 +56,8 @@ def command(
     quiet: Quiet = False,
 ) -> None:
     """Printed and consistent scores, paths, and Metropolis corrections beside exact posteriors."""
-    names = _known("variant", variant, list(VARIANTS))
-    problems = _known("problem", problem, list(APPLICATIONS))
+    names = asked_of("variant", variant, VARIANTS)
+    problems = asked_of("problem", problem, APPLICATIONS)
     _check(recordings, draws, reference, levels, steps, pictures, picture_draws)
     work = Approximations(draws, reference, levels, steps, seed)
     identity = {
@@ -79,20 +79,15 @@ def command(
         about = identity | {"weights": _weights(prior), "size": size, "draws": picture_draws}
         answers.append(measure(folder, about, names, list(PICTURES), pictures, of_pictures))
     found: dict[str, dict[str, Answer]] = {}
+    costed: dict[str, dict[str, Cost]] = {}
     for about, name, done, answer in ((c, s, d, a) for s, c, d, a in chain(*answers)):
         if not quiet and answer is None:
             print(f"{about}, {name}: {done} done", flush=True)
         if answer is not None:
             found.setdefault(about, {})[name] = answer
-            _write(out, found, truths)
+            costed[about] = costs(found[about], truths[about])
+            _write(out, costed, found)
     print((out / "study.md").read_text(encoding="utf-8"), end="")
-
-
-def _known(kind: str, asked: list[str] | None, names: list[str]) -> list[str]:
-    for name in asked or ():
-        if name not in names:
-            raise ValueError(f"unknown {kind} {name!r}: use one of {'; '.join(names)}")
-    return asked or names
 
 
 def _check(
@@ -120,8 +115,9 @@ def _weights(prior: str) -> dict[str, str]:
     }
 
 
-def _write(out: Path, found: dict[str, dict[str, Answer]], truths: dict[str, np.ndarray]) -> None:
-    text = cost_table(found, truths)
+def _write(
+    out: Path, costed: dict[str, dict[str, Cost]], found: dict[str, dict[str, Answer]]
+) -> None:
+    text, figure = cost_table(costed, found), cost_picture(costed)
     replace_whole(out / "study.md", lambda p: Path(p).write_text(text, encoding="utf-8"))
-    figure = cost_picture({name: costs(answers, truths[name]) for name, answers in found.items()})
     replace_whole(out / "study.png", lambda p: figure.savefig(p, dpi=150, format="png"))

@@ -14,6 +14,7 @@ from ..studies import (
     Answer,
     PhaseRetrieval,
     aligned,
+    judged_phases,
     measure,
     phase_table,
     picture,
@@ -22,7 +23,7 @@ from ..studies import (
     variance_picture,
 )
 from ..studies.phase_retrieval import DEFINITIONS, Condition, check_alpha
-from .options import Quiet
+from .options import Quiet, asked_of
 
 _ALPHAS = ("2", "3", "4")
 
@@ -63,10 +64,7 @@ def command(
     quiet: Quiet = False,
 ) -> None:
     """Pictures behind the magnitudes of their Fourier transform, by every system of Table 2."""
-    names = system or list(PHASE_SYSTEMS)
-    for name in names:
-        if name not in PHASE_SYSTEMS:
-            raise ValueError(f"unknown system {name!r}: use one of {'; '.join(PHASE_SYSTEMS)}")
+    names = asked_of("system", system, PHASE_SYSTEMS)
     for value in alpha:
         check_alpha(value)
     conditions = [f"{value}-{kind}" for kind in definition for value in alpha]
@@ -107,6 +105,7 @@ class _Results:
         self.out, self.work, self.systems = out, work, systems
         self.found: Found = {}
         self.aligned: Found = {}
+        self.judged: dict[str, dict[str, dict]] = {}
         self.tables: dict[str, str] = {}
 
     def add(self, condition: str, system: str, answer: Answer) -> None:
@@ -114,7 +113,10 @@ class _Results:
         answers[system] = answer
         shown = answer if answer.refusal else answer._replace(images=aligned(self.work, answer))
         self.aligned.setdefault(condition, {})[system] = shown
-        self.tables[condition] = phase_table(self.work, condition, answers)
+        judged = self.judged.setdefault(condition, {})
+        if not answer.refusal:
+            judged[system] = judged_phases(self.work, condition, answer)
+        self.tables[condition] = phase_table(self.work, condition, judged, answers)
         self._write()
 
     def _write(self) -> None:

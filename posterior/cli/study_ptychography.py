@@ -1,7 +1,6 @@
 """`posterior study ptychography`: the paper's simulated Fourier ptychography."""
 
 import hashlib
-import os
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +17,7 @@ from ..studies.ptychography_plots import maps, psnr_panels, scatter
 from ..studies.ptychography_report import Judged, judged_objects, protocol, ptychography_table
 from ..studies.ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from ..studies.specimens import specimens
-from .options import Quiet
+from .options import Quiet, asked_of
 from .study_stack import run_stack
 
 # One of the two is held while the other varies.
@@ -64,8 +63,6 @@ def command(
     if (data is None) == (stack is None):
         raise ValueError("give either --data (references, to simulate with) or --stack (measured)")
     names = _checked(system, objects, draws, part)
-    # This process judges while others work, on an accelerator that they would fill.
-    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     if stack is not None:
         run_stack(stack, out, prior, names, view, widest, draws, seed, quiet)
         return
@@ -100,11 +97,7 @@ def command(
 
 
 def _checked(system: list[str] | None, objects: int, draws: int, part: str) -> list[str]:
-    names = system or list(PTYCHOGRAPHY_SYSTEMS)
-    for name in names:
-        if name not in PTYCHOGRAPHY_SYSTEMS:
-            known = "; ".join(PTYCHOGRAPHY_SYSTEMS)
-            raise ValueError(f"unknown system {name!r}: use one of {known}")
+    names = asked_of("system", system, PTYCHOGRAPHY_SYSTEMS)
     if min(objects, draws) < 2:
         raise ValueError(f"--objects {objects}, --draws {draws}: give 2 or more of both")
     if part not in ("test", "validation"):
