@@ -29,7 +29,14 @@ from ..train import (
     statistics_of,
     train,
 )
-from ..training_report import PATCHES, calibration, central_patches, denoising, write_report
+from ..training_report import (
+    PATCHES,
+    calibration,
+    central_patches,
+    denoising,
+    doubts,
+    write_report,
+)
 
 
 def command(
@@ -55,6 +62,7 @@ def command(
         str, typer.Option(help=f"Patches are also turned: one of {', '.join(SYMMETRIES)}.")
     ] = "square",
     rate: Annotated[float, typer.Option(help="Learning rate at its highest.")] = 2e-3,
+    clip: Annotated[float, typer.Option(help="Largest norm of a gradient.")] = 1.0,
     precision: Annotated[
         str, typer.Option(help=f"Of the convolutions: {' or '.join(PRECISIONS)} (accelerators).")
     ] = "float32",
@@ -83,8 +91,9 @@ def command(
     least = floor if perturbation == "signal" else 0.0
     how = Preparation(objects, percentile, least, group, validation, test, hold_out, crop, resize)
     recipe = Recipe(
-        kind, steps, batch, size, rate, seed=seed, symmetry=symmetry, precision=precision
-    )
+        kind, steps, batch, size, rate, clip=clip, seed=seed, symmetry=symmetry,
+        precision=precision,
+    )  # fmt: skip
     folder = _data_folder(data)
     files = {p.name: p for p in picture_files(folder)}
     split = split_names(list(files), validation, test, group, hold_out)
@@ -102,6 +111,8 @@ def command(
     )
     held_out = [prepare(files[n], how) for n in split.validation]
     prior, validation = _validated(denoiser, kind, held_out, quiet)
+    table = validation["denoising_psnr_db"]
+    against = doubts(losses, table)
     card = {
         "name": _stem(out).name,
         "kind": kind,
@@ -125,11 +136,12 @@ def command(
             "final_loss": round(float(np.mean(losses[-max(1, steps // 20) :])), 4),
         },
         "validation": validation,
-        "limits": _limits(statistics, size),
+        "limits": [*against, *_limits(statistics, size)],
     }
     save_weights(f"{_stem(out)}.safetensors", denoiser, card)
-    table = validation["denoising_psnr_db"]
     write_report(Path(f"{_stem(out)}.training"), prior, losses, table, seed)
+    for doubt in against:
+        print(f"warning: {doubt}")
 
 
 def _validated(

@@ -288,6 +288,29 @@ def test_counts_are_reported_with_their_calibration(command, folder, tmp_path, m
     assert np.all(np.isfinite(drawn)) and drawn.min() >= 0
 
 
+def test_a_jump_of_the_loss_is_told_and_noise_is_not():
+    """Losses of a batch of 16 have about a fifth of their mean for sd."""
+    rng = np.random.default_rng(0)
+    fair = (0.1 + np.exp(-np.arange(3000) / 300)) * rng.gamma(25, 1 / 25, (200, 3000))
+    assert all(training_report.doubts(losses, {}) == [] for losses in fair)
+    spoilt = fair[0].copy()
+    spoilt[1210:1230] = 3.0
+    (said,) = training_report.doubts(spoilt, {})
+    assert "about step 1200" in said and "--clip" in said
+    assert training_report.doubts(spoilt[:1210], {}) == []
+
+
+def test_a_network_below_bm3d_says_so():
+    table = {
+        "0.05": {"noisy": 26.0, "network": 38.0, "bm3d": 37.5},
+        "0.1": {"noisy": 20.0, "network": 34.0, "bm3d": 35.1},
+    }
+    (said,) = training_report.doubts(np.ones(10), table)
+    assert "0.1 (34.0 dB, BM3D 35.1)" in said and "0.05" not in said
+    table["0.1"]["bm3d"] = None
+    assert training_report.doubts(np.ones(10), table) == []
+
+
 def test_calibration_knows_true_draws_from_narrow_ones():
     rng = np.random.default_rng(0)
     centre, noise = rng.standard_normal((200, 1, 8, 8)), rng.standard_normal((200, 17, 8, 8))
@@ -324,6 +347,7 @@ def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monk
         (("--crop", 0), "crop 0"),
         (("--resize", 900), "above the picture's shorter side"),
         (("--symmetry", "cube"), "unknown symmetry"),
+        (("--clip", 0), "clip 0"),
     ],
 )
 def test_bad_options_are_one_sentence(command, folder, tmp_path, options, words):
