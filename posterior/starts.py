@@ -73,7 +73,11 @@ def from_magnitudes(
 
 
 def by_admm(
-    posterior: Posterior, key: jax.Array, chains: int, progress: bool = False
+    posterior: Posterior,
+    key: jax.Array,
+    chains: int,
+    progress: bool = False,
+    scout: LearnedPrior | None = None,
 ) -> np.ndarray:
     """Starts (chains, *shape) for phase retrieval, for annealing that begins near the noise.
 
@@ -83,6 +87,10 @@ def by_admm(
     its time: on three pictures of 64x64 draws from there explain the recording by 1200 to 8100 nats
     more. At the broad levels where annealing begins, its own noise leads astray what the denoiser
     mends.
+
+    `scout`: another prior whose denoiser searches. The sharper network need not be the better
+    searcher: of three solutions for Boat at alpha 4 ADMM brings the best to 25.5 dB under
+    `natural-large`, which denoises better at every level, and to 29.0 dB under `natural`.
     Real objects are taken to be nonnegative, and the optics are a Fourier transform. Raises
     ValueError as `hio` and `plug_and_play_admm` do.
     """
@@ -95,7 +103,7 @@ def by_admm(
         candidates = _solutions(posterior, jax.random.fold_in(key, i), _ADMM_CANDIDATES)
         ends = [
             plug_and_play_admm(
-                posterior.likelihood, posterior.y, o, posterior.prior, levels,
+                posterior.likelihood, posterior.y, o, scout or posterior.prior, levels,
                 iterations=_ADMM_ITERATIONS,
             ).object
             for o in candidates

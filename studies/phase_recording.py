@@ -20,7 +20,8 @@ _LEAST_ELECTRONS = 10
 class Recording(NamedTuple):
     """Fourier intensities `y` (2h, 2w), normalised, of a picture of (h, w), and their camera.
 
-    `irradiance`: full wells for an intensity of 1; `seeds`: what keys are made of. Numbers and
+    `irradiance`: full wells for an intensity of 1; `seeds`: what keys are made of; `scout`: the
+    prior, by name, whose denoiser searches where annealing starts. Numbers and
     NumPy's arrays: whoever only judges answers computes nothing on an accelerator.
     """
 
@@ -32,6 +33,7 @@ class Recording(NamedTuple):
     prior: str
     seeds: tuple[int, int]
     draws: int
+    scout: str
 
     @property
     def camera(self) -> Poisson:

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..estimators import plug_and_play_admm, prdeep, prgamp
 from ..models.priors import RealAmongComplex
-from ..presets import learned_annealing, start_of
+from ..presets import learned_annealing
 from ..problem import Posterior, Problem
 from ..samplers import AnnealedLangevin, Sampler
 from ..sampling import sample
-from ..starts import from_magnitudes
+from ..starts import by_admm, from_magnitudes
 from .phase_recording import Recording, loaded
 
 # Of the network: from some twenty settings, on two to four validation pictures of `natural` at
@@ -91,7 +91,8 @@ def _annealed(recording: Recording, search: bool) -> np.ndarray:
 
 def _annealed_near(recording: Recording) -> np.ndarray:
     posterior = recording.posterior()
-    start = start_of("annealed", posterior, recording.key(2), 1)[0]
+    scout = loaded(recording.scout, recording.likelihood.object_shape)
+    start = by_admm(posterior, recording.key(2), 1, scout=scout)[0]
     return _drawn(recording, posterior, learned_annealing(posterior), start)
 
 

@@ -43,6 +43,10 @@ def command(
     prior: Annotated[
         str, typer.Option(help="Shipped weights, or paths up to -gaussian-score.safetensors.")
     ] = "natural",
+    scout: Annotated[
+        str | None,
+        typer.Option(help="Weights whose denoiser finds the starts of annealing; unsaid: --prior."),
+    ] = None,
     alpha: Annotated[
         list[str], typer.Option(help="Noise level as prDeep counts it; may be repeated.")
     ] = list(_ALPHAS),  # noqa: B006
@@ -70,7 +74,7 @@ def command(
     conditions = [f"{value}-{kind}" for kind in definition for value in alpha]
     for condition in conditions:
         Condition.of(condition)
-    weights = card_of(prior)["sha256"]
+    weights, found_by = card_of(prior)["sha256"], card_of(scout or prior)["sha256"]
     if draws < 2 or seeds < 1 or seed < 0 or (pictures is not None and pictures < 1):
         raise ValueError(
             f"--pictures {pictures}, --draws {draws}, --seeds {seeds}, --seed {seed}: give draws "
@@ -80,13 +84,15 @@ def command(
     count = len(truths) * seeds
     if count < 2:
         raise ValueError("one answer has no spread: give 2 pictures or seeds, or more")
-    work = PhaseRetrieval(truths, prior, draws, seed)
+    work = PhaseRetrieval(truths, prior, draws, seed, scout)
     for condition in conditions:
         work.recording(condition, 0)
     identity = {
         "study": "phase-retrieval", "weights": weights, "draws": draws, "seed": seed,
         "pictures": hashlib.sha256(truths.tobytes()).hexdigest(),
     }  # fmt: skip
+    if found_by != weights:
+        identity["scout"] = found_by
     results = _Results(out, work, names)
     for name, condition, done, answer in measure(
         out / "answers", identity, names, conditions, count, work

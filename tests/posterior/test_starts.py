@@ -12,6 +12,7 @@ from skimage.transform import resize
 from posterior import models, presets, starts
 from posterior.diagnostics import align
 from posterior.estimators import half_samples, maximum_posterior
+from posterior.estimators.pnp_admm import Plugged
 from posterior.models import (
     Exposures,
     FourierPtychography,
@@ -178,6 +179,25 @@ def test_the_best_ends_of_admm_explain_the_recording_better_than_its_solutions()
     np.testing.assert_array_equal(align(found, found[0], ["conjugate_flip"]), found)
     first = starts.by_admm(posterior, jax.random.key(1), 1)
     np.testing.assert_allclose(first[0], found[0], atol=1e-6)
+
+
+def test_another_prior_may_search(monkeypatch):
+    asked = []
+
+    def admm(likelihood, y, start, denoiser, levels, iterations):
+        asked.append(denoiser)
+        return Plugged(start, 0.0)
+
+    monkeypatch.setattr(starts, "plug_and_play_admm", admm)
+    optics = models.Fourier((16, 16), oversampling=2)
+    likelihood = IntensityLikelihood(optics, Poisson(100_000), 1 / 400)
+    prior, scout = (ScorePrior(wiener("score", False, dtype="float32"), (16, 16)) for _ in "ab")
+    y = likelihood.simulate(jax.random.key(0), np.ones((16, 16), np.float32))
+    posterior = Problem(likelihood, prior).condition(y)
+    for given, used in ((None, posterior.prior), (scout, scout)):
+        starts.by_admm(posterior, jax.random.key(1), 1, scout=given)
+        assert len(asked) == 8 and all(denoiser is used for denoiser in asked)
+        asked.clear()
 
 
 def test_under_a_learned_prior_real_objects_start_from_admm_and_complex_ones_from_a_search(

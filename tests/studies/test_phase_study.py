@@ -248,8 +248,9 @@ def test_the_command_writes_tables_and_pictures(six, tmp_path, capsys):
     with Image.open(tmp_path / "out" / "study.png") as picture:
         assert picture.size[0] > 300
     assert not (tmp_path / "out" / "variance.png").exists()
-    assert run(six, tmp_path / "out", *options, "--seed", "1") == 2
-    assert "is of another campaign" in capsys.readouterr().err
+    for other in (("--seed", "1"), ("--scout", "natural-large")):
+        assert run(six, tmp_path / "out", *options, *other) == 2
+        assert "is of another campaign" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -272,6 +273,7 @@ def test_a_study_with_draws_has_a_picture_of_their_variance(six, tmp_path):
         (("--pictures", "1"), "one answer has no spread"),
         (("--pictures", "3"), "not 3"),
         (("--prior", "nowhere"), "nowhere"),
+        (("--scout", "elsewhere"), "elsewhere"),
         (("--alpha", "0.001"), "full_well"),
     ],
 )
