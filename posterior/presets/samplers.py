@@ -77,6 +77,9 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
         broadest = 4 * noise if _by_admm(posterior) else float(prior.scale) / 2
     else:
         broadest = min(max(float(prior.scale), 15 * noise), prior.statistics.sigma_max)
+    if path == "split":
+        # The annealing error is a part of the noise there.
+        broadest = min(broadest, float(posterior.annealing_range(path)[0]))
     return AnnealedLangevin(levels=60, sigma_max=max(broadest, finest), sigma_min=finest, **steps)
 
 

@@ -218,6 +218,8 @@ def test_under_a_learned_prior_real_objects_start_from_admm_and_complex_ones_fro
         broadest = presets.learned_annealing(posterior).sigma_max
         near = 4 * float(posterior.data_level())
         assert broadest == (float(prior.scale) / 2 if complex_valued else near)
+        split = presets.learned_annealing(posterior, "split")
+        assert split.sigma_min < split.sigma_max <= float(posterior.annealing_range("split")[0])
 
 
 def test_behind_bright_fields_alone_chains_start_from_a_run_each():
