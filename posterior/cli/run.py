@@ -157,9 +157,12 @@ def _draw(
 ) -> Draws:
     """`keys`: of the start, and of the draws."""
     measured = question.microscope is not None
+    searches = options.problem == presets.PHASE_RETRIEVAL
+    scout = presets.scout_of(options.prior, posterior.shape) if searches else None
     start = presets.start_of(
-        options.sampler, posterior, keys[0], options.chains, progress=not quiet, measured=measured
-    )
+        options.sampler, posterior, keys[0], options.chains, progress=not quiet,
+        measured=measured, scout=scout,
+    )  # fmt: skip
     return sample(
         posterior,
         sampler,

@@ -16,7 +16,7 @@ from .applications import (
 from .exposure import prior_scale
 from .objects import complex_object
 from .optics import aperture_grid
-from .prior import PRIOR_PICTURES, best_sampler, is_trained, weights_card
+from .prior import PRIOR_PICTURES, best_sampler, is_trained, scout_of, weights_card
 from .questions import measured, record, simulate
 from .recordings import picture_of
 from .samplers import SAMPLERS, Sampling, learned_annealing, start_of

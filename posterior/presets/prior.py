@@ -75,6 +75,17 @@ def weights_card(prior: str, needs: str) -> dict[str, Any]:
     return card
 
 
+def scout_of(prior: str | None, shape: tuple[int, ...]) -> ScorePrior | None:
+    """Of shipped weights NAME-large the small network NAME, if there is one: it searches better.
+
+    Why `starts.by_admm` asks for it, and what was measured, is told there.
+    """
+    small = (prior or "").removesuffix("-large")
+    if small == prior or f"{small}-gaussian-score" not in shipped():
+        return None
+    return ScorePrior.load(small, shape)
+
+
 def best_sampler(name: str, prior: str | None) -> str:
     """The sampler of an application where none is asked for."""
     if not is_trained(prior):

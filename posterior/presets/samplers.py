@@ -114,6 +114,7 @@ def start_of(
     *,
     progress: bool = False,
     measured: bool = False,
+    scout: LearnedPrior | None = None,
 ) -> np.ndarray | None:
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
@@ -122,6 +123,7 @@ def start_of(
     several, which start from hybrid input-output. Under a learned prior a real object behind one
     starts from plug-and-play ADMM (`starts.by_admm`); ptychography from quasi-Newton, where no LED
     is a dark field from an annealing run from there, and a `measured` stack from halves of itself.
+    `scout`: a prior that searches better than the posterior's (`scout_of`), for ADMM.
     "split" cannot travel at all.
     """
     magnitudes = has_magnitudes(posterior.likelihood.optics)
@@ -138,7 +140,7 @@ def start_of(
         if not magnitudes:
             return _ptychography_start(posterior, key, chains, progress, measured)
         if _by_admm(posterior):
-            return by_admm(posterior, key, chains, progress)
+            return by_admm(posterior, key, chains, progress, scout)
         return from_magnitudes(posterior, learned_annealing(posterior), key, chains, progress)
     if sampler not in ("mala", "ula", "nuts", "annealed-split"):
         return None
