@@ -189,6 +189,7 @@ def test_another_prior_may_search(monkeypatch):
         return Plugged(start, 0.0)
 
     monkeypatch.setattr(starts, "plug_and_play_admm", admm)
+    monkeypatch.setattr(starts, "_solutions", lambda *_: np.ones((8, 16, 16), np.float32))
     optics = models.Fourier((16, 16), oversampling=2)
     likelihood = IntensityLikelihood(optics, Poisson(100_000), 1 / 400)
     prior, scout = (ScorePrior(wiener("score", False, dtype="float32"), (16, 16)) for _ in "ab")
