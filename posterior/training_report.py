@@ -24,7 +24,7 @@ SIGMAS = (0.025, 0.05, 0.1, 0.2)
 PATCHES, SIDE, DRAWS = 32, 64, 8
 FULL_WELLS, RANKED = (100, 25), 16
 # Means of so many losses; one this many times the median of the ten before it is a jump. Two right
-# trainings of 8000 steps stay below 1.4; one that a bad step spoilt for good had 27.
+# trainings of 8000 steps stay below 1.1; one that a bad step spoilt for good had 27.
 _STRETCH, _BEFORE, _JUMP = 50, 10, 3.0
 
 

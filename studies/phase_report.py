@@ -43,16 +43,20 @@ def judged_phases(
     """Figures of an answer; fidelity of the mean of the draws, after `aligned`.
 
     "psnr": mean over pictures, of each the mean over its seeds; "sd": over pictures (nan of one).
+    "by seed": mean over pictures of each seed; "moves": the most that a picture's differ.
     "misfit": `Recording.misfit` of the draws as they were found.
     "seconds": of a picture, all draws, the median. For those that sample also "draw psnr",
-    coverage of pixels with its error over answers, and spread over error.
+    coverage of pixels with its error over answers, and spread over error, "each" answer's too.
     """
     images, count = aligned(study, answer), len(study.truths)
     n = len(images)
     truths = np.stack([study.truth(i) for i in range(n)])
     means = images.mean(axis=1)
-    quality = _by_picture([psnr(mean, truth) for mean, truth in zip(means, truths)], count)
+    each = np.reshape([psnr(mean, truth) for mean, truth in zip(means, truths)], (-1, count))
+    quality = each.mean(axis=0)
     found = {
+        "by seed": tuple(each.mean(axis=1)),
+        "moves": float(np.ptp(each, axis=0).max()),
         "psnr": float(quality.mean()),
         "sd": float(quality.std(ddof=1)) if count > 1 else float("nan"),
         "ssim": float(np.mean([ssim(mean, truth) for mean, truth in zip(means, truths)])),
@@ -67,16 +71,13 @@ def judged_phases(
     if images.shape[1] < 2:
         return found
     draws = [psnr(image[0], truth) for image, truth in zip(images, truths)]
-    found["draw psnr"] = float(_by_picture(draws, count).mean())
+    found["draw psnr"] = float(np.mean(draws))
     rng = np.random.default_rng(0)
     covered = [coverage(images, truths, level, rng) for level in LEVELS]
     found["pixels"] = tuple(value for share in covered for value in (share.share, share.error))
     found["spread"] = spread_over_error(images, truths)
+    found["each"] = tuple(spread_over_error(x[None], t[None]) for x, t in zip(images, truths))
     return found
-
-
-def _by_picture(values: list[float], pictures: int) -> np.ndarray:
-    return np.array([np.mean(values[i::pictures]) for i in range(pictures)])
 
 
 def phase_table(
@@ -89,7 +90,20 @@ def phase_table(
     lines = [f"## alpha = {condition.replace('-', ', ', 1)}", "", measured_as(study, condition), ""]
     lines += [row_of(_HEAD), "|" + "---|" * len(_HEAD)]
     lines += [row_of(_row(system, condition, found)) for system, found in judged.items()]
-    return "\n".join([*lines, "", *refusals(answers)])
+    lines += ["", *(line for item in judged.items() for line in _differences(*item)), ""]
+    return "\n".join([*lines, *refusals(answers)])
+
+
+def _differences(system: str, found: dict) -> list[str]:
+    """How far seeds, and answers, differ: a line, or none where there is one of them."""
+    said = []
+    if len(found["by seed"]) > 1:
+        seeds = ", ".join(f"{value:.1f}" for value in found["by seed"])
+        said.append(f"{seeds} dB by seed, a picture moves by {found['moves']:.1f} dB at most")
+    if "each" in found:
+        low, high = min(found["each"]), max(found["each"])
+        said.append(f"spread over error of each answer {low:.2f} to {high:.2f}")
+    return [f"- {system}: {'; '.join(said)}"] if said else []
 
 
 def measured_as(study: PhaseRetrieval, condition: str) -> str:

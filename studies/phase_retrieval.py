@@ -61,15 +61,15 @@ class PhaseRetrieval(NamedTuple):
     """The study: `truths` (pictures, h, w) in 0..1, each recorded and answered `seeds` times over.
 
     A condition is alpha and the definition of the noise (`Condition.of`). Answer i is of picture
-    i modulo their number. `scout`: the prior that searches where annealing starts, unsaid the
-    same. Callable as the harness wants it.
+    i modulo their number. `scout`: the prior whose denoiser finds where annealing starts.
+    Callable as the harness wants it.
     """
 
     truths: np.ndarray
     prior: str
     draws: int
     seed: int
-    scout: str | None = None
+    scout: str
 
     def __call__(self, system: str, condition: str, index: int) -> np.ndarray:
         return np.asarray(PHASE_SYSTEMS[system].answer(self.recording(condition, index)))
@@ -105,7 +105,7 @@ class PhaseRetrieval(NamedTuple):
         Poisson(full_well, how.bits).check(y)
         return Recording(
             y.astype(np.float32), full_well, how.bits, 1 / (how.electron * full_well),
-            how.alpha, self.prior, (self.seed, index), self.draws, self.scout or self.prior,
+            how.alpha, self.prior, (self.seed, index), self.draws, self.scout,
         )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from .. import presets
 from ..draws import Draws, versions
 from ..images import read_picture, split_key
 from ..models.camera import Poisson
+from ..models.priors import ScorePrior
 from ..presets import SAMPLERS, Question
 from ..problem import Posterior
 from ..samplers import Sampler
@@ -157,11 +158,9 @@ def _draw(
 ) -> Draws:
     """`keys`: of the start, and of the draws."""
     measured = question.microscope is not None
-    searches = options.problem == presets.PHASE_RETRIEVAL
-    scout = presets.scout_of(options.prior, posterior.shape) if searches else None
     start = presets.start_of(
         options.sampler, posterior, keys[0], options.chains, progress=not quiet,
-        measured=measured, scout=scout,
+        measured=measured, scout=_scout(options, posterior.shape),
     )  # fmt: skip
     return sample(
         posterior,
@@ -175,3 +174,11 @@ def _draw(
         progress=not quiet,
         checkpoint=checkpoint,
     )
+
+
+def _scout(options: Options, shape: tuple[int, ...]) -> ScorePrior | None:
+    """The network that searches for starts, where it is not the prior itself."""
+    if options.problem != presets.PHASE_RETRIEVAL or not presets.is_trained(options.prior):
+        return None
+    name = presets.scout_of(options.prior)
+    return None if name == options.prior else ScorePrior.load(name, shape)

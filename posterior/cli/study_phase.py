@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from ..files import replace_whole
 from ..models.priors.storage import card_of
+from ..presets import scout_of
 from ..studies import (
     PHASE_SYSTEMS,
     Answer,
@@ -45,7 +46,7 @@ def command(
     ] = "natural",
     scout: Annotated[
         str | None,
-        typer.Option(help="Weights whose denoiser finds the starts of annealing; unsaid: --prior."),
+        typer.Option(help="Weights whose denoiser finds the starts; unsaid: of NAME-large NAME."),
     ] = None,
     alpha: Annotated[
         list[str], typer.Option(help="Noise level as prDeep counts it; may be repeated.")
@@ -74,7 +75,8 @@ def command(
     conditions = [f"{value}-{kind}" for kind in definition for value in alpha]
     for condition in conditions:
         Condition.of(condition)
-    weights, found_by = card_of(prior)["sha256"], card_of(scout or prior)["sha256"]
+    scout = scout or scout_of(prior)
+    weights, found_by = card_of(prior)["sha256"], card_of(scout)["sha256"]
     if draws < 2 or seeds < 1 or seed < 0 or (pictures is not None and pictures < 1):
         raise ValueError(
             f"--pictures {pictures}, --draws {draws}, --seeds {seeds}, --seed {seed}: give draws "

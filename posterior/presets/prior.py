@@ -10,7 +10,7 @@ from skimage import data as pictures
 from ..images import fit_to, read_picture, to_grey, to_unit_range
 from ..models.priors import EnergyPrior, GaussianField, Prior, ScorePrior
 from ..models.priors.storage import card_of, shipped, shipped_names
-from .applications import APPLICATIONS, DENOISING, PTYCHOGRAPHY
+from .applications import APPLICATIONS, DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY
 from .objects import complex_object
 from .samplers import SAMPLERS
 
@@ -43,7 +43,10 @@ def prior_of(
     kind = EnergyPrior if card["kind"] == "energy" else ScorePrior
     dtype = complex if name == PTYCHOGRAPHY else float
     found = kind.load(prior, shape, card["statistics"]["perturbation"], dtype)
-    return found, {Path(prior).name: card["sha256"]}
+    made_of = {Path(prior).name: card["sha256"]}
+    if name == PHASE_RETRIEVAL and scout_of(prior) != prior:
+        made_of[scout_of(prior)] = card_of(scout_of(prior))["sha256"]
+    return found, made_of
 
 
 # What a sampler needs, and the kind and perturbation of the weights that have it.
@@ -75,15 +78,14 @@ def weights_card(prior: str, needs: str) -> dict[str, Any]:
     return card
 
 
-def scout_of(prior: str | None, shape: tuple[int, ...]) -> ScorePrior | None:
-    """Of shipped weights NAME-large the small network NAME, if there is one: it searches better.
+def scout_of(prior: str) -> str:
+    """The weights whose denoiser finds where phase retrieval under `prior` starts.
 
-    Why `starts.by_admm` asks for it, and what was measured, is told there.
+    Of shipped weights NAME-large the small network NAME, if there is one; else the prior itself.
+    `starts.by_admm` tells what was measured of `natural`; of other pictures it is not known.
     """
-    small = (prior or "").removesuffix("-large")
-    if small == prior or f"{small}-gaussian-score" not in shipped():
-        return None
-    return ScorePrior.load(small, shape)
+    small = prior.removesuffix("-large")
+    return small if f"{small}-gaussian-score" in shipped() else prior
 
 
 def best_sampler(name: str, prior: str | None) -> str:

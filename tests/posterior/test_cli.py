@@ -13,9 +13,11 @@ from PIL import Image
 
 import posterior as ps
 from posterior import cli, models, presets, starts
+from posterior.cli.options import Options
+from posterior.cli.run import _scout
 from posterior.cli.words import doubts
 from posterior.images import read_picture
-from posterior.models.priors.storage import FOLDER
+from posterior.models.priors.storage import FOLDER, card_of
 
 RNG = np.random.default_rng(1)
 SMALL = ["--draws", "6", "--warmup", "12", "--thin", "1", "--quiet"]
@@ -199,6 +201,22 @@ def test_a_recording_has_no_truth(folder, tmp_path, capsys):
     assert "PSNR" not in capsys.readouterr().out
     counts = np.load(folder / "counts.npy")
     np.testing.assert_allclose(ps.load(out / "draws.nc").data, counts, atol=1e-6)
+
+
+def test_a_scout_searches_where_phases_are_lost_and_is_remembered():
+    """With its hash, so that a run is not repeated with another."""
+    camera, picture = models.Poisson(1000), np.kron(np.eye(2), np.full((8, 8), 0.8)) + 0.1
+    for problem, prior, searchers in (
+        ("phase-retrieval", "natural-large", ["natural"]),
+        ("phase-retrieval", "natural", []),
+        ("denoising", "natural-large", []),
+    ):
+        given = {"size": 16, "prior": prior, "needs": "score"}
+        question = presets.simulate(problem, picture, camera, jax.random.key(0), **given)
+        names = [prior, *searchers]
+        assert question.prior == {name: card_of(name)["sha256"] for name in names}
+        scout = _scout(Options(problem, prior=prior), (16, 16))
+        assert (scout is not None) == bool(searchers)
 
 
 def test_phase_retrieval(folder, tmp_path, few_levels):

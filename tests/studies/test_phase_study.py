@@ -32,7 +32,7 @@ def truths():
 
 
 def study(truths, draws=3):
-    return PhaseRetrieval(truths, "natural", draws, seed=0)
+    return PhaseRetrieval(truths, "natural", draws, seed=0, scout="natural")
 
 
 def intensities(truth):
@@ -174,10 +174,17 @@ def test_figures_of_normal_posteriors(truths, spread):
     # A mean over pictures of means over seeds.
     images = aligned(work, answer).mean(axis=1)
     of_answers = [psnr(image, work.truth(i)) for i, image in enumerate(images)]
-    pictures = np.reshape(of_answers, (seeds, 2)).mean(axis=0)
+    each = np.reshape(of_answers, (seeds, 2))
+    pictures = each.mean(axis=0)
     np.testing.assert_allclose(
         [found["psnr"], found["sd"]], [pictures.mean(), pictures.std(ddof=1)]
     )
+    np.testing.assert_allclose(found["by seed"], each.mean(axis=1))
+    np.testing.assert_allclose(found["moves"], (each.max(axis=0) - each.min(axis=0)).max())
+    # All pictures have as many pixels: the spread over error of all is the harmonic mean of each.
+    squares = np.square(found["each"]) ** -1.0
+    assert len(squares) == 2 * seeds
+    np.testing.assert_allclose(found["spread"], squares.mean() ** -0.5, rtol=0.01)
     assert found["seconds"] == 2 and found["memory"] == 300
 
 
@@ -197,6 +204,7 @@ def test_the_table_has_published_figures_and_says_who_did_not_answer(truths):
     assert "| 19.9 |" in table and "| 32.6 |" in table
     assert "- BM3D-ADMM: no answer to recording 0: BM3D is not installed" in table
     assert "prDeep's normal noise" in table
+    assert "- HIO:" not in table and "- annealed: spread over error of each answer" in table
     other = table_of("2.5-poisson-8")
     assert "| 19.9 |" not in other and "8 bits over the brightest" in other
 
