@@ -117,8 +117,7 @@ def test_under_the_signal_error_no_pixel_starts_in_darkness_and_the_paths_run():
     np.testing.assert_allclose(start, np.stack([np.maximum(y, 1 / 16)] * 2))
     sampler = AnnealedLangevin(path="split", levels=20, steps=2)
     for given in (start, np.stack([y] * 2)):
-        settings = {"chains": 2, "draws": 50, "progress": False}
-        run = sample(posterior, sampler, jax.random.key(0), start=given, **settings)
+        run = sample(posterior, sampler, jax.random.key(0), chains=2, start=given, progress=False)
         assert np.all(np.isfinite(run.values)) and run.values.min() > 0
 
 
