@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .asked import where_asked
 from .counts import (
     UNBOUNDED,
     noisy_count_log_interval,
     noisy_count_log_pdf,
     poisson_log_interval,
     poisson_log_pmf,
-    where_asked,
 )
 from .realview import is_complex, normal_like, real_score
 
@@ -287,7 +287,7 @@ class Poisson(_CountingCamera):
             lo, hi = table[code], table[code + 1] - 1
             value = poisson_log_interval(lo, hi, lam, int(np.diff(firsts[:-1]).max()))
         tail = partial(poisson_log_interval, start, jnp.inf, width=UNBOUNDED)
-        return jnp.where(saturated, where_asked(saturated, tail, lam, 0.0), value)
+        return jnp.where(saturated, where_asked(tail, 0.0, saturated, lam), value)
 
     def electrons_between(self, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The least and the largest number of electrons that give `y`; inf at the full well.

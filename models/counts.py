@@ -28,11 +28,12 @@ from numpy.polynomial.chebyshev import chebinterpolate
 from numpy.polynomial.legendre import leggauss
 from scipy.special import erfcx
 
+from .asked import where_asked
+
 DARK = 1e-6  # electrons
 
 UNBOUNDED = 2**30  # width of an interval whose length is not known
 
-_BLOCK = 256  # pixels whose dear sums are done together
 _STEP_NODES = 64  # two edges as sharp as the read noise, up to 12 of its widths apart
 _SHIFT = 8
 _LOG_2PI = 1.8378770664093453
@@ -311,29 +312,6 @@ def _log_tail(start: int, lam: jax.Array) -> jax.Array:
     return _log_interval(UNBOUNDED, ends, lam)
 
 
-def where_asked(
-    asked: jax.Array, compute: Callable[[jax.Array], jax.Array], lam: jax.Array, otherwise: float
-) -> jax.Array:
-    """compute(lam), elementwise, where it is `asked` for, and the constant `otherwise` elsewhere.
-
-    For a sum that is dear and that few pixels need. The pixels that ask come first and the work is
-    done in blocks, so that blocks in which none asks are left out.
-    """
-    asked, flat = jnp.broadcast_to(asked, lam.shape).ravel(), lam.ravel()
-    order = jnp.argsort(~asked)
-    size = min(_BLOCK, lam.size)
-    blocks = -(-lam.size // size)
-    # The last block is filled up with the pixel that asks least.
-    order = jnp.pad(order, (0, blocks * size - lam.size), mode="edge")
-
-    def block(index: jax.Array) -> jax.Array:
-        found = jax.lax.cond(jnp.any(asked[index]), compute, jnp.zeros_like, flat[index])
-        return jnp.where(asked[index], found, otherwise)
-
-    found = jax.lax.map(block, order.reshape(blocks, size)).ravel()
-    return jnp.zeros_like(flat).at[order].set(found).reshape(lam.shape)
-
-
 def _curvature(peak: jax.Array) -> jax.Array:
     """Least curvature of -log pmf over the terms that count: Bernstein's, n^2 / 2(peak + n/3)."""
     depth = _depth(peak.dtype)
@@ -587,5 +565,5 @@ def _add_saturated(
     body: jax.Array, at_full_well: jax.Array, near: jax.Array, full_well: int, lam: jax.Array
 ) -> jax.Array:
     """Add the mass P(N >= full_well) that sits at the full well, if any pixel is near it."""
-    tail = where_asked(near, partial(_log_tail, full_well), lam, _NEVER)
+    tail = where_asked(partial(_log_tail, full_well), _NEVER, near, lam)
     return jnp.logaddexp(body, tail + at_full_well)

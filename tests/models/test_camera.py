@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from posterior.models import camera as camera_module
 from posterior.models.camera import Gaussian, Poisson, PoissonGaussian
+from posterior.models.counts import poisson_log_interval
 
 POISSON = [Poisson(10, 1), Poisson(100), Poisson(255, 4), Poisson(100, 8), Poisson(5000, 8)]
 POISSON += [Poisson(1e6, 12)]
@@ -233,10 +235,23 @@ def test_same_key_same_draws_and_vmap_is_a_loop():
         np.testing.assert_allclose(value, jnp.stack(loop), rtol=1e-5, atol=1e-6)
 
 
-def test_saturated_tail_stays_conditional_when_chains_are_vmapped():
-    camera, y = Poisson(100, 8), jnp.full(4, 0.2, "float32")
-    chains = jax.vmap(lambda e: camera.log_prob(y, e))
-    assert "cond[" in str(jax.make_jaxpr(chains)(jnp.full((2, 4), 0.2, "float32")))
+@pytest.mark.parametrize("shared", [True, False], ids=["one recording", "a recording each"])
+def test_tail_is_summed_for_saturated_pixels_alone_when_vmapped(monkeypatch, shared):
+    camera, summed = Poisson(100), []
+
+    def counted(start, stop, lam, width):
+        jax.debug.callback(lambda: summed.append(lam.size))
+        return poisson_log_interval(start, stop, lam, width)
+
+    monkeypatch.setattr(camera_module, "poisson_log_interval", counted)
+    chains = jax.jit(jax.vmap(camera.log_prob, in_axes=(None if shared else 0, 0)))
+    light = jnp.full((2, 50), 0.5, "float32")
+    y = light[0] if shared else light
+    jax.block_until_ready(chains(y, light))
+    assert summed == []
+    jax.block_until_ready(chains(y.at[..., -1].set(1.0), light))
+    jax.effects_barrier()
+    assert summed == [32 * 2 if shared else 32], "a block of pixels"
 
 
 # ---- what is told --------------------------------------------------------------------------------
