@@ -63,6 +63,10 @@ class Prior(eqx.Module):
         """A dispersed place to start a chain, `shape`, `dtype`: a draw, unless draws are dear."""
         return self.sample(key)
 
+    def tempering_base(self) -> "Prior":
+        """Where tempering begins: what is drawn exactly by `sample`; this prior, if it is."""
+        return self
+
     @abc.abstractmethod
     def log_prob(self, x: jax.Array, sigma: jax.Array | float = 0.0) -> jax.Array:
         """Log-density of the annealed variable at `x` (`shape`), normalised; a real scalar."""

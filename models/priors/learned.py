@@ -22,13 +22,15 @@ from typing import ClassVar, Self
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..annealing import component_sd
-from ..realview import normal_like
+from ..realview import normal_like, real_size
 from ..thinning import thickened
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
 from .layers import frozen
+from .mixture import GaussianMixture
 from .perturbation import folded_energy, refuse_counts, score_from_denoised
 
 
@@ -135,6 +137,21 @@ class LearnedPrior(Prior):
         dispersed as the pictures are, but nothing like one.
         """
         return self._allowed(self._noise_about_mean(key, self.statistics.sd))
+
+    def tempering_base(self) -> GaussianMixture:
+        """Independent normal channels of the pictures' mean and sd: the network's draws are not of
+        its density.
+
+        Raises ValueError for "signal", whose density has an edge at zero that no normal keeps.
+        """
+        if self.perturbation == "signal":
+            raise ValueError(
+                "no tempering under a prior of the signal-dependent error, which forbids negative "
+                "values: use MALA, or a prior of the gaussian perturbation"
+            )
+        n, sd = real_size(self.shape, self.dtype), self.statistics.sd
+        mean = np.full((1, n), self.statistics.mean)
+        return GaussianMixture([1.0], mean, np.array([sd**2]), self.shape, self.dtype.type)
 
     def _noise_about_mean(self, key: jax.Array, sd: jax.Array | float) -> jax.Array:
         blank = jnp.zeros(self.shape, self.dtype)

@@ -1,4 +1,9 @@
-"""Tempered sequential Monte Carlo, from the prior to the posterior: finds far modes by itself."""
+"""Tempered sequential Monte Carlo, from the prior to the posterior: finds far modes by itself.
+
+An energy network has a density but no exact draws, and a start of other draws would bias all that
+follows: there the particles come from a normal distribution as broad as the pictures
+(`Prior.tempering_base`), whose density is tempered away as the prior comes in.
+"""
 
 from typing import Any, ClassVar, NamedTuple
 
@@ -34,7 +39,8 @@ class TemperedInfo(NamedTuple):
 class TemperedSMC(PopulationSampler):
     """Adaptive tempered SMC on BlackJAX's: particles of the prior, moved to the posterior.
 
-    Each step raises the power of the likelihood so far that the effective sample size stays at
+    Each step raises the power of what is added to the prior (of the prior too, where it is an
+    energy network's) so far that the effective sample size stays at
     `target_ess` of the particles, resamples them and moves them by `moves` HMC steps of `leapfrog`
     steps each; mass matrix and step size follow the particles. A last resampling and move at power
     one leaves equally weighted draws (Del Moral, Doucet and Jasra 2006). Each chain is an SMC run
@@ -54,9 +60,12 @@ class TemperedSMC(PopulationSampler):
             raise ValueError(f"target_ess {self.target_ess}: a fraction between 0 and 1")
 
     def init(self, key: jax.Array, posterior: Posterior, size: int = 1000) -> TemperedState:
-        """`size` particles of the prior, at power zero."""
-        keys = jax.random.split(key, size)
-        particles = jax.vmap(lambda k: to_real(posterior.prior.sample(k)))(keys)
+        """`size` particles of the prior, or of its `tempering_base`, at power zero.
+
+        Raises ValueError for an energy of the signal-dependent error.
+        """
+        keys, base = jax.random.split(key, size), posterior.prior.tempering_base()
+        particles = jax.vmap(lambda k: to_real(base.sample(k)))(keys)
         dtype = particles.dtype
         inner = blackjax.smc.tempered.TemperedSMCState(
             particles, jnp.full(size, 1 / size, dtype), jnp.zeros((), dtype)
@@ -88,8 +97,18 @@ class TemperedSMC(PopulationSampler):
     def _kernel(self, state: TemperedState) -> Any:
         posterior = state.posterior
 
+        base = posterior.prior.tempering_base()
+
         def as_object(v: jax.Array) -> jax.Array:
             return from_real(v, posterior.shape, posterior.dtype)
+
+        def log_base(v: jax.Array) -> jax.Array:
+            return base.log_prob(as_object(v))
+
+        def log_added(v: jax.Array) -> jax.Array:
+            if base is posterior.prior:
+                return posterior.log_likelihood(as_object(v))
+            return posterior.log_prob(as_object(v)) - log_base(v)
 
         weights = state.inner.weights[:, None]
         mean = jnp.sum(weights * state.inner.particles, axis=0)
@@ -100,8 +119,8 @@ class TemperedSMC(PopulationSampler):
         }
         hmc = blackjax.hmc.build_kernel()
         return blackjax.adaptive_tempered_smc(
-            lambda v: posterior.log_prior(as_object(v)),
-            lambda v: posterior.log_likelihood(as_object(v)),
+            log_base,
+            log_added,
             lambda *args, **kwargs: hmc(*args, num_integration_steps=self.leapfrog, **kwargs),
             blackjax.hmc.init,
             parameters,

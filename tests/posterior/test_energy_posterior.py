@@ -117,18 +117,20 @@ def test_mala_leaves_the_posterior_of_an_energy_as_it_is(energy):
     assert smallest_p(noisier, others) < 1e-3
 
 
-def test_emcee_mala_and_annealed_langevin_agree_on_a_small_patch(energy):
+def test_emcee_mala_smc_and_annealed_langevin_agree_on_a_small_patch(energy):
     """The same network on 2x2 pixels: means and variances, in posterior sd.
 
-    MALA and emcee to four times their Monte-Carlo error; annealed Langevin, which approximates, and
+    MALA, emcee and SMC to four times their Monte-Carlo error; annealed Langevin, which approximates, and
     whose prior at its finest level is blurred as that of the others is, to 0.1 beside it.
     """
-    prior = priors.EnergyPrior(energy.denoiser, (2, 2))
+    # The network's own draws, by one step here, are far from its density: no sampler may lean on it.
+    prior = priors.EnergyPrior(energy.denoiser, (2, 2), sampling_steps=2)
     y = np.array([[0.3, 0.5], [0.6, 0.7]])
     post = denoising(prior, y, models.Gaussian(0.15))
     runs = {
         "emcee": (samplers.Ensemble(walkers=32), {"draws": 32 * 2000, "chains": 4}),
         "mala": (samplers.MALA(), {"draws": 5000, "thin": 5, "chains": 4}),
+        "smc": (samplers.TemperedSMC(), {"draws": 500, "chains": 32}),
         "annealed": (samplers.AnnealedLangevin(), {"draws": 50, "chains": 64}),
     }
     found = {}
