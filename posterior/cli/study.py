@@ -32,6 +32,7 @@ from ..studies import (
     read_captures,
 )
 from ..studies.denoising import electrons
+from ..studies.report import protocol
 from . import study_approximations, study_phase, study_ptychography
 from .options import Quiet, asked_of
 
@@ -103,9 +104,15 @@ def denoising(
         "draws": draws, "bits": bits, "seed": seed, "first": _hash(truths[0]),
     }  # fmt: skip
     work = Denoising(truths, prior, bits or None, draws, seed)
+    about = (
+        f"Here: {pictures} {part} pictures of the prior {prior}, {size}x{size}, true counts "
+        f"{f'behind {bits} bits' if bits else 'as they are'}, {draws} draws of each system that "
+        f"samples, seed {seed}."
+    )
 
     def write(found: Found) -> None:
-        text = "\n".join(as_table(value, answers, truths, seen) for value, answers in found.items())
+        tables = [as_table(value, answers, truths, seen) for value, answers in found.items()]
+        text = "\n".join([protocol(names, about), *tables])
         shown = {f"sigma_0 = {value}": answers for value, answers in found.items()}
         _write(out, text, shown, dict.fromkeys(shown, truths[0]))
 

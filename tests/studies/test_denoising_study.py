@@ -115,6 +115,7 @@ def test_the_table_has_the_papers_figures_and_says_who_did_not_answer(truths):
     }
     table = as_table("0.1", answers, truths)
     assert "| 34.5 |" in table and "| 32.8 |" in table
+    assert table.count("| 0.98 |") == 2, "the paper's SSIM of both"
     assert "- VST + BM3D: no answer to recording 0: BM3D is not installed" in table
     assert "| 30.9 |" in as_table("0.20", answers, truths)
     assert "| 34.5 |" not in as_table("0.15", answers, truths)
@@ -212,6 +213,7 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     options = ("--system", "recording", "--system", "RED", "--sigma", "0.1")
     assert not run(folder, tmp_path / "out", *options)
     table = (tmp_path / "out" / "study.md").read_text()
+    assert f"2 test pictures of the prior nuclei, {SIDE}x{SIDE}" in table and "- RED: Romano" in table
     assert capsys.readouterr().out == table
     assert "| RED |" in table and "## sigma_0 = 0.1" in table
     with Image.open(tmp_path / "out" / "study.png") as picture:
@@ -251,7 +253,7 @@ def test_the_table_tells_pictures_from_smooth_answers_and_says_by_what():
     pictures, exact = images[:, 0], Answer(images[:, 1:], np.ones(16), 0)
     smooth = exact._replace(images=means)
     table = as_table("0.1", {"annealed": exact, "MMSE": smooth}, pictures)
-    cells = [row.split("|")[7].split() for row in table.splitlines() if row.startswith("| ")][1:]
+    cells = [row.split("|")[8].split() for row in table.splitlines() if row.startswith("| ")][1:]
     (near, *_, p), (far, *_, small) = cells
     assert float(far) > 3 * float(near)
     assert float(small.strip("()")) < 0.05 < float(p.strip("()"))
