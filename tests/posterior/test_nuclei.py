@@ -17,7 +17,7 @@ import pytest
 import posterior as ps
 from known import block_means
 from posterior import models, presets
-from posterior.diagnostics import spread_over_error
+from posterior.diagnostics import randomised_ranks, spread_over_error, uniformity
 from posterior.estimators import anscombe_denoised
 from posterior.models.priors.storage import card_of
 from posterior.studies import held_out
@@ -94,6 +94,16 @@ def mean_rank(draws, truth):
     return per_picture.mean(), per_picture.std(ddof=1) / np.sqrt(len(truth))
 
 
+def uniform_p(draws, truth):
+    """p-value of uniform ranks; of pixels and blocks one of each picture, at a place of its own."""
+    rng, n = np.random.default_rng(7), len(truth)
+    draws, truth = draws.reshape(*draws.shape[:2], -1), truth.reshape(n, -1)
+    place = rng.integers(truth.shape[1], size=n)
+    truth = np.take_along_axis(truth, place[:, None], 1)[:, 0]
+    draws = np.take_along_axis(draws, place[:, None, None], 2)[..., 0]
+    return uniformity(randomised_ranks(truth, draws, rng))
+
+
 def drawn(truth, full_well, sampler):
     """Recordings, draws (n, draws, 64, 64), and seconds a draw."""
     camera = models.Poisson(full_well)
@@ -155,7 +165,11 @@ def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
     for name, shares in inside.items():
         said = ", ".join(f"{s:.3f} +- {e:.3f} ({right:.3f})" for s, e, right in shares)
         middle, error = mean_rank(found[name], truth[name])
-        print(f"{name}: inside 50, 90 % (nominal): {said}; mean rank {middle:.3f} +- {error:.3f}")
+        p = uniform_p(found[name], truth[name])
+        print(
+            f"{name}: inside 50, 90 % (nominal): {said}; mean rank {middle:.3f} +- {error:.3f}; "
+            f"ranks uniform p {p:.2g}"
+        )
     if sampler == "thickening":
         assert 0.9 < ratio < 1.1
         assert all(abs(share - right) < 0.04 for share, _, right in inside["pixels"])
