@@ -20,6 +20,7 @@ from ..samplers.base import PopulationSampler, Sampler
 from .campaign import Drawer, Settings, recorded
 from .convergence import ess
 from .distance import sliced_wasserstein
+from .mode_masses import mode_masses
 from .quantities import Quantity
 from .score_count import score_evaluations
 
@@ -32,9 +33,10 @@ class Beside(NamedTuple):
     Where exact draws are by importance (`Known.basis`), some come twice, and floors are higher.
 
     `lost`: in how many of them a draw was not finite; nothing else is known then. `distance`:
-    sliced Wasserstein distance from as many exact draws, over that of two exact sets of that size.
-    `mode_error`: the largest error of a mode's mass, and `mode_floor` that of an exact set; None
-    where the problem has one mode.
+    sliced Wasserstein distance from as many exact draws, over that of two exact sets of that size,
+    and `distance_error` its standard error, from how it differs between recordings. `mode_error`:
+    the largest error of a mode's mass, and `mode_floor` that of an exact set; None where the
+    problem has one mode.
 
     `effective`: independent draws that a run is worth, the median over quantities. Of chains their
     bulk effective sample size (Vehtari et al. 2021); of draws that are runs of their own, and of a
@@ -50,6 +52,7 @@ class Beside(NamedTuple):
     mode_floor: float | None = None
     effective: float | None = None
     evaluations: int | None = None
+    distance_error: float | None = None
 
 
 def beside_exact(
@@ -122,21 +125,25 @@ def _figures(
     rng = np.random.default_rng(0)
     draws = draws.reshape(others.shape)
     apart, floor = (
-        np.mean([sliced_wasserstein(a, b, rng) for a, b in zip(part, exact)])
+        np.array([sliced_wasserstein(a, b, rng) for a, b in zip(part, exact)])
         for part in (draws, others)
     )
     errors: tuple[float | None, float | None] = (None, None)
     if known.modes is not None:
-        masses, *beside = (_masses(part, known.modes) for part in (exact, draws, others))
+        masses, *beside = (
+            np.array([mode_masses(a, known.modes) for a in part]) for part in (exact, draws, others)
+        )
         errors = tuple(float(np.abs(m - masses).max(axis=1).mean()) for m in beside)
-    return Beside(lost, float(apart / floor), *errors, effective_draws(sampler, values))
+    distance, error = ratio_of_means(apart, floor)
+    return Beside(lost, distance, *errors, effective_draws(sampler, values), distance_error=error)
 
 
-def _masses(draws: np.ndarray, modes: np.ndarray) -> np.ndarray:
-    """Shares (recordings, modes) of the draws (recordings, n, *shape) that are nearest to each."""
-    apart = np.abs(draws[:, :, None] - modes).reshape(*draws.shape[:2], len(modes), -1)
-    nearest = (apart**2).sum(axis=-1).argmin(axis=-1)
-    return (nearest[..., None] == np.arange(len(modes))).mean(axis=1)
+def ratio_of_means(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
+    """mean(above) / mean(below) of pairs (n,), and its standard error, to first order in 1/n."""
+    ratio = above.mean() / below.mean()
+    # What a pair is off the common ratio; the pairs are independent, their members are not.
+    off = above - ratio * below
+    return float(ratio), float(off.std(ddof=1) / np.sqrt(len(off)) / below.mean())
 
 
 def effective_draws(sampler: Sampler | Drawer, values: np.ndarray) -> float | None:
@@ -182,8 +189,10 @@ def _read(file: str | os.PathLike | None, guard: str) -> Beside | None:
     if file is None or not Path(file).exists():
         return None
     kept = json.loads(Path(file).read_text())
-    # Figures of another sampler or key are computed anew: they are cheap beside the simulations.
-    return Beside(**kept["figures"]) if kept["fingerprint"] == guard else None
+    # Figures of another sampler or key, or fewer than there are now, are computed anew: they are
+    # cheap beside the simulations.
+    same = kept["fingerprint"] == guard and set(kept["figures"]) == set(Beside._fields)
+    return Beside(**kept["figures"]) if same else None
 
 
 def _write(file: str | os.PathLike, guard: str, found: Beside) -> None:

@@ -102,16 +102,18 @@ def simulate(
     processes made by fork. With cloudpickle, which the extra `cluster` installs, functions of any
     kind are sent, without it those at the top of a module.
 
-    Raises ValueError for bad settings, quantities that are no real scalars or not defined for an
-    object, draws of another shape, a folder of another campaign or with a damaged file, functions
-    that cannot be sent, and processes made by fork or of other versions; NonFiniteError with the
-    number of a simulation whose run diverged.
+    Raises ValueError for what is no problem or no sampler, bad settings, quantities that are no
+    real scalars or not defined for an object, draws of another shape or kind than the object, a
+    folder of another campaign or with a damaged file, functions that cannot be sent, and processes
+    made by fork or of other versions; NonFiniteError with the number of a simulation in which any
+    pixel of a draw is not finite.
     """
     for name, value in (("count", count), ("batch", batch)):
         if int(value) != value or value < 1:
             raise ValueError(f"{name} {value}: give a whole number, 1 or more")
     if not quantities:
         raise ValueError("no quantities: give {name: f(x, y)}, one or more")
+    check_asked(problem, sampler)
     check_run(settings.chains, settings.draws, settings.thin, settings.warmup)
     count, batch = int(count), int(batch)
     campaign = _Campaign(problem, sampler, key, dict(quantities), settings, batch)
@@ -251,21 +253,64 @@ def recorded(
 ) -> jax.Array:
     """`record` of each draw (chains, draws, ...) by a sampler, or by a function of draws.
 
+    NaN for a draw that is not finite, whichever of its pixels `record` reads.
     Raises SamplerRefusal where the sampler refuses the posterior, ValueError for draws of a
-    function that have another shape.
+    function that are no JAX array or have another shape, and for draws of another kind than the
+    object.
     """
+
+    def of_finite(x: jax.Array) -> jax.Array:
+        _check_kind(x.dtype, posterior)
+        return jnp.where(jnp.all(jnp.isfinite(x)), record(x), jnp.nan)
+
     if isinstance(sampler, Sampler):
         try:
-            return whole_run(sampler, posterior, key, **settings._asdict(), record=record)
+            return whole_run(sampler, posterior, key, **settings._asdict(), record=of_finite)
         except ValueError as error:
             raise SamplerRefusal(" ".join(str(error).split())) from error
     draws = sampler(key, posterior)
+    if not isinstance(draws, jax.Array):
+        raise ValueError(
+            f"the sampler gives a {type(draws).__name__}: give a JAX array of draws (chains, "
+            f"draws, *{posterior.shape}), computed with jax.numpy"
+        )
     if draws.ndim < 2 or draws.shape[2:] != posterior.shape:
         raise ValueError(
             f"the sampler gives draws of shape {draws.shape}: give (chains, draws, "
             f"*{posterior.shape})"
         )
-    return jax.vmap(jax.vmap(record))(draws)
+    return jax.vmap(jax.vmap(of_finite))(draws)
+
+
+def check_asked(problem: Problem, sampler: Sampler | Callable) -> None:
+    """Refuse what is no problem, and what is no sampler."""
+    if not isinstance(problem, Problem):
+        raise ValueError(
+            f"problem is a {type(problem).__name__}: give a Problem, which is there before any "
+            "recording (of one recording, `posterior_sbc`)"
+        )
+    check_sampler(sampler)
+
+
+def check_sampler(sampler: Sampler | Callable) -> None:
+    """Refuse what is neither a sampler nor a function."""
+    if isinstance(sampler, type):
+        raise ValueError(f"sampler is the class {sampler.__name__}: give {sampler.__name__}(...)")
+    if not isinstance(sampler, Sampler) and not callable(sampler):
+        raise ValueError(
+            f"sampler {sampler!r} is a {type(sampler).__name__}: give one of posterior.samplers, "
+            "or a function"
+        )
+
+
+def _check_kind(dtype: np.dtype, posterior: Posterior) -> None:
+    """Refuse draws of another kind than the object."""
+    kind = np.complexfloating if posterior.prior.complex_valued else np.floating
+    if not jnp.issubdtype(dtype, kind):
+        raise ValueError(
+            f"the sampler gives draws of {dtype}, the object is {posterior.dtype}: give draws of "
+            "its kind"
+        )
 
 
 def _refuse_nan(truths: np.ndarray, draws: np.ndarray, first: int, names: tuple[str, ...]) -> None:
@@ -276,8 +321,8 @@ def _refuse_nan(truths: np.ndarray, draws: np.ndarray, first: int, names: tuple[
         )
     for i, q in np.argwhere(np.isnan(draws).any(axis=(1, 2))):
         raise NonFiniteError(
-            f"simulation {first + i}: {names[q]} of a draw is NaN: the run diverged, give the "
-            "sampler a smaller step"
+            f"simulation {first + i}: {names[q]} of a draw is NaN, or the draw is not finite: the "
+            "run diverged, give the sampler a smaller step"
         )
 
 

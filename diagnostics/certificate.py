@@ -13,7 +13,7 @@ from ..problem import Problem
 from ..samplers.base import RunSampler, Sampler
 from ..sampling import NonFiniteError
 from .beside_exact import RECORDINGS, beside_exact
-from .campaign import Drawer, SamplerRefusal, Settings
+from .campaign import Drawer, SamplerRefusal, Settings, check_sampler
 from .quantities import DistanceTo, default_quantities
 from .sbc import Calibration, sbc
 
@@ -27,7 +27,8 @@ class Certificate(NamedTuple):
     `verdict`: passes; fails, in what and by how much; cannot be judged at this budget, and at which
     it could; or does not apply, with the sampler's own reason. `distance`: sliced Wasserstein
     distance from as many exact draws, over that of two exact sets of that size, on average over 8
-    recordings: 1 is as good as exact and independent. `mode_error`: the largest error of a mode's
+    recordings: 1 is as good as exact and independent; `distance_error`: its standard error, from
+    how it differs between recordings. `mode_error`: the largest error of a mode's
     mass, on average over them, and `mode_floor` that of an exact set; None where the problem has
     one mode. `seconds` of the simulations, compilation included. `effective`: independent draws
     that a run is worth, the median over quantities, and `evaluations`: its prior score evaluations,
@@ -42,6 +43,7 @@ class Certificate(NamedTuple):
     seconds: float | None = None
     effective: float | None = None
     evaluations: int | None = None
+    distance_error: float | None = None
 
     @property
     def kind(self) -> str:
@@ -50,8 +52,12 @@ class Certificate(NamedTuple):
 
     @property
     def p(self) -> float | None:
-        """p-value over all quantities: the smallest of those adjusted for their number (Holm)."""
-        return None if self.calibration is None else min(self.calibration.p.values())
+        """p-value over all quantities judged: the smallest of those adjusted for their number.
+
+        None where no quantity has draws enough to be judged.
+        """
+        judged = {} if self.calibration is None else self.calibration.judged_p
+        return min(judged.values(), default=None)
 
     @property
     def effective_per_evaluation(self) -> float | None:
@@ -61,18 +67,22 @@ class Certificate(NamedTuple):
         return self.effective / self.evaluations
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, for JSON; p-values and coverage of every quantity among them."""
+        """Plain numbers, for JSON; p-values and coverage of every quantity among them.
+
+        A quantity of too few draws to be judged has no p.
+        """
         plain = self._asdict() | {"calibration": None, "p": self.p}
         plain["effective_per_evaluation"] = self.effective_per_evaluation
         if (found := self.calibration) is not None:
             coverage = {f"{level:g}": found.coverage(level) for level in LEVELS}
+            judged = found.judged_p
             plain["calibration"] = {
                 name: {
-                    "p": p,
+                    "p": judged.get(name),
                     "draws": float(draws),
                     "coverage": {level: shares[name][0] for level, shares in coverage.items()},
                 }
-                for (name, p), draws in zip(found.p.items(), found.effective)
+                for name, draws in zip(found.names, found.effective)
             }
             plain["simulations"] = len(found.ranks)
         return plain
@@ -96,9 +106,21 @@ def certify(
     `key` None: key 0. `alpha`: with that probability at most an exact sampler fails on any of the
     problems, each being tested at its share. `folder`: the simulations of each problem and its
     other figures are kept there; a certificate that was interrupted goes on, and repeats nothing.
+    Raises ValueError for no problems, for what is none or no sampler, and as `sbc` does.
     """
+    check_sampler(sampler)
     key = jax.random.key(0) if key is None else key
     problems = {name: build() for name, build in GALLERY.items()} if problems is None else problems
+    if not problems:
+        raise ValueError(
+            "no problems to certify on: give {name: Known}, or None for all of the gallery"
+        )
+    for name, known in problems.items():
+        if not isinstance(known, Known):
+            raise ValueError(
+                f"problem {name} is a {type(known).__name__}: give a models.gallery.Known, a "
+                "likelihood and a prior with exact draws"
+            )
     settings = settings_of(sampler) if settings is None else settings
     found = {}
     for name, known in problems.items():
@@ -119,7 +141,10 @@ def settings_of(sampler: Sampler | Drawer) -> Settings:
 
 
 def as_table(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
-    """Markdown: a row for each sampler and problem of {sampler: {problem: certificate}}."""
+    """Markdown: a row for each sampler and problem of {sampler: {problem: certificate}}.
+
+    The distance is given +- its standard error.
+    """
     rows = [
         "| sampler | problem | verdict | p over all quantities "
         "| coverage of 50, 80, 95 % where worst | distance over floor | error of modes "
@@ -129,7 +154,7 @@ def as_table(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
     for sampler, by_problem in certificates.items():
         for problem, found in by_problem.items():
             cells = [sampler, problem, found.verdict, said(found.p, ".2g"), _worst_coverage(found)]
-            cells += [said(found.distance, ".2f"), said(found.mode_error, ".2f")]
+            cells += [said_distance(found), said(found.mode_error, ".2f")]
             cells += [said(found.mode_floor, ".2f"), said(found.effective_per_evaluation, ".2g")]
             rows.append(f"| {' | '.join([*cells, said(found.seconds, '.0f')])} |")
     return "\n".join(rows) + "\n"
@@ -173,6 +198,7 @@ def _certificate(
         calibration.seconds,
         beside.effective,
         beside.evaluations,
+        beside.distance_error,
     )
 
 
@@ -199,9 +225,9 @@ def _verdict(calibration: Calibration, alpha: float, settings: Settings | None) 
 
 
 def _worst_coverage(found: Certificate) -> str:
-    if found.calibration is None:
+    if found.p is None:
         return ""
-    p = found.calibration.p
+    p = found.calibration.judged_p
     worst = min(p, key=p.__getitem__)
     shares = (found.calibration.coverage(level)[worst][0] for level in LEVELS)
     return ", ".join(f"{100 * share:.0f}" for share in shares)
@@ -210,3 +236,9 @@ def _worst_coverage(found: Certificate) -> str:
 def said(value: float | None, form: str) -> str:
     """A number in this format; nothing, where there is none."""
     return "" if value is None else format(value, form)
+
+
+def said_distance(found: Certificate) -> str:
+    """The distance over its floor, +- its standard error where that is known."""
+    error = said(found.distance_error, ".2f")
+    return said(found.distance, ".2f") + (f" \N{PLUS-MINUS SIGN} {error}" if error else "")

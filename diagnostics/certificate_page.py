@@ -5,8 +5,8 @@ import io
 from collections.abc import Mapping
 from html import escape
 
-from .certificate import LEVELS, Certificate, said
-from .certificate_plot import COLOURS, SYMBOLS, problems_of
+from .certificate import LEVELS, Certificate, said, said_distance
+from .certificate_plot import COLOURS, SYMBOLS, check_certificates, problems_of
 from .rank_plot import plot_ranks
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -41,8 +41,10 @@ def as_page(
     """A self-contained page of {sampler: {problem: certificate}}: no scripts, nothing to load.
 
     `made`: how it was made, as {name: text}, such as the command and the versions. `pictures`: PNG
-    files by sampler and problem; None: drawn here, by `rank_picture`.
+    files by sampler and problem; None: drawn here, by `rank_picture`. Raises ValueError for no
+    certificates.
     """
+    check_certificates(certificates)
     pictures = _drawn(certificates) if pictures is None else pictures
     sections = "\n".join(
         _of_sampler(column, sampler, by_problem, problems_of(certificates), pictures)
@@ -62,8 +64,8 @@ def as_page(
 <p>Samplers on problems whose posterior is known. Objects are drawn from the prior and recorded;
 if a sampler is right, each true object ranks among its draws as one of them, in every quantity.
 Beside the verdict: the distance of its draws from exact ones over that of two exact sets, 1 for
-draws as good as exact and independent. No certificate is a proof: a fault too small for so many
-simulations passes.</p>
+draws as good as exact and independent, ± its standard error over eight recordings. No certificate
+is a proof: a fault too small for so many simulations passes.</p>
 {_matrix(certificates)}
 {_made(made or {})}
 {sections}
@@ -126,7 +128,7 @@ def _matrix(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
 def _matrix_cell(found: Certificate | None, anchor: str) -> str:
     if found is None:
         return "<td>not run</td>"
-    distance = f"<br>{found.distance:.2f}" if found.distance is not None else ""
+    distance = f"<br>{said_distance(found)}" if found.distance is not None else ""
     verdict = f'{SYMBOLS[found.kind]} <a href="#{anchor}">{found.kind}</a>'
     return f'<td class="{_class(found.kind)}">{verdict}{distance}</td>'
 
@@ -184,8 +186,8 @@ def _of_problem(
 def _figures(found: Certificate) -> str:
     simulations = None if found.calibration is None else len(found.calibration.ranks)
     figures = {
-        "p-value over all quantities, the smallest by Holm": said(found.p, ".2g"),
-        "distance from exact draws over the noise floor": said(found.distance, ".2f"),
+        "p-value over all quantities judged, the smallest by Holm": said(found.p, ".2g"),
+        "distance from exact draws over the noise floor": said_distance(found),
         "error of the modes' masses": said(found.mode_error, ".3f"),
         "that error of exact draws": said(found.mode_floor, ".3f"),
         "independent draws that a run is worth": said(found.effective, ".0f"),
@@ -206,9 +208,9 @@ def _quantities(found: Certificate) -> str:
     if (calibration := found.calibration) is None:
         return ""
     coverage = [calibration.coverage(level) for level in LEVELS]
-    rows = []
-    for (name, p), draws in zip(calibration.p.items(), calibration.effective):
-        cells = [f"{p:.2g}", f"{draws:.0f}"]
+    judged, rows = calibration.judged_p, []
+    for name, draws in zip(calibration.names, calibration.effective):
+        cells = [said(judged.get(name), ".2g") or "too few draws", f"{draws:.0f}"]
         for share, error in (shares[name] for shares in coverage):
             cells.append(f"{100 * share:.0f} ± {100 * error:.0f}")
         numbers = "".join(f'<td class="number">{cell}</td>' for cell in cells)

@@ -20,8 +20,9 @@ def plot_certificates(
 
     Colour and symbol are the verdict, the number is the distance from exact draws over the noise
     floor: 1 is as good as exact and independent. An empty cell was not run. Returns the axes, new
-    ones unless given.
+    ones unless given. Raises ValueError for no certificates.
     """
+    check_certificates(certificates)
     samplers, problems = list(certificates), problems_of(certificates)
     if axes is None:
         size = (4.5 + 1.1 * len(samplers), 1.3 + 0.36 * len(problems))
@@ -43,6 +44,14 @@ def plot_certificates(
     ]
     axes.figure.legend(handles=shown, ncols=4, fontsize=8, frameon=False, loc="outside lower right")
     return axes
+
+
+def check_certificates(certificates: Mapping[str, Mapping[str, Certificate]]) -> None:
+    """Refuse none at all."""
+    if not any(certificates.values()):
+        raise ValueError(
+            "no certificates to show: give {sampler: {problem: Certificate}}, of `certify`"
+        )
 
 
 def problems_of(certificates: Mapping[str, Mapping[str, Certificate]]) -> list[str]:

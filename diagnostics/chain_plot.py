@@ -7,6 +7,7 @@ import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .checks import check_finite, check_level
 from .ranks import thinned
 
 _INSIDE, _OUTSIDE, _BAND = "#4a86b8", "#e08a1e", "0.86"
@@ -61,8 +62,7 @@ def plot_chains(values: np.ndarray, axes: Axes | None = None, level: float = 0.9
 
 
 def _histograms(values: np.ndarray, level: float) -> _Histograms:
-    if not 0 < level < 1:
-        raise ValueError(f"level {level}: it must lie between 0 and 1")
+    check_level(level)
     # Each chain is a run of its own: chains that disagree are not thinned for it.
     kept = thinned(values[:, None])[:, 0]
     sizes = kept.sum(axis=1)
@@ -89,6 +89,5 @@ def _checked(values: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"values of shape {values.shape}: give (chains, draws), 2 chains and 8 draws or more"
         )
-    if not np.all(np.isfinite(values)):
-        raise ValueError("values hold NaN or infinity: the run has diverged")
+    check_finite("draws", values)
     return values

@@ -26,7 +26,7 @@ class _Row(NamedTuple):
     change_label: str
 
 
-def plot_components(components: Components) -> Figure:
+def plot_components(components: Components) -> np.ndarray:
     """Draw the mean and, beside it, a change of one sd along each component, all on one scale.
 
     Red is more, blue is less, in the object's unit; either sign is as probable. Of complex objects
@@ -53,15 +53,26 @@ def plot_components(components: Components) -> Figure:
     )
 
 
-def plot_contrast(values: np.ndarray, found: Contrast) -> Figure:
+def plot_contrast(values: np.ndarray, found: Contrast) -> np.ndarray:
     """Draw the two draws of `contrast(values)` and, in posterior sd, where they differ.
 
     Both draws on one scale; the whole difference, and its part along the first component. Of
     complex draws amplitudes, and phases in radians below; their differences are taken along and
-    across the mean field, where they change the amplitude and the phase.
-    Raises ValueError for objects that are no pictures (h, w).
+    across the mean field, where they change the amplitude and the phase. Returns the axes (rows,
+    columns). Raises ValueError for objects that are no pictures (h, w), and for values that the
+    contrast is not of.
     """
     values = np.asarray(values)
+    most = np.max([found.first, found.second], axis=0)
+    if (
+        values.ndim != 4
+        or values.shape[2:] != found.difference.shape
+        or np.any(most >= values.shape[:2])
+    ):
+        raise ValueError(
+            f"values of shape {values.shape}: give the draws (chains, draws, h, w) that the "
+            f"contrast is of, with objects of {found.difference.shape} and a draw {tuple(most)}"
+        )
     pair = [_picture(values[place]) for place in (found.first, found.second)]
     names = ["a draw", "another draw"]
     titles = ["difference", f"of it along component 1: {100 * found.share:.2g} %"]
@@ -82,8 +93,8 @@ def plot_contrast(values: np.ndarray, found: Contrast) -> Figure:
     return _drawn(rows)
 
 
-def _drawn(rows: Sequence[_Row]) -> Figure:
-    """A figure of rows of panels, each row with its two scales at its ends."""
+def _drawn(rows: Sequence[_Row]) -> np.ndarray:
+    """The axes of a figure of rows of panels, each row with its two scales at its ends."""
     columns = max(len(row.objects) + len(row.changes) for row in rows)
     height, width = rows[0].objects[0].picture.shape
     size = (_INCH * columns + 1.6, len(rows) * (_INCH * height / width + 0.3) + 0.1)
@@ -106,7 +117,7 @@ def _drawn(rows: Sequence[_Row]) -> Figure:
             bar.set_label(label, fontsize=9)
             bar.ax.tick_params(labelsize=8, length=2)
             bar.outline.set_visible(False)
-    return figure
+    return grid
 
 
 def _picture(x: np.ndarray) -> np.ndarray:

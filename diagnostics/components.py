@@ -107,15 +107,22 @@ def _centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, ...
     values = np.asarray(values)
     if values.ndim < 3 or values.shape[0] * values.shape[1] < 2:
         raise ValueError(f"draws of shape {values.shape}: give (chains, draws, *shape), 2 or more")
-    if not np.all(np.isfinite(values)):
-        raise ValueError("draws hold NaN or infinity: the run has diverged")
     flat = values.reshape(values.shape[0] * values.shape[1], -1)
+    lost = int(np.sum(~np.isfinite(flat).all(axis=1)))
+    if lost:
+        raise ValueError(
+            f"{lost} of {len(flat)} draws hold NaN or infinity: the run has diverged, give the "
+            "sampler a smaller step"
+        )
     x = flat.astype(complex if np.iscomplexobj(flat) else float)
     # A pixel that stands still is 0 exactly, whatever its mean rounds to.
     mean = np.where(np.ptp(x.real, axis=0) + np.ptp(x.imag, axis=0) > 0, x.mean(axis=0), x[0])
     x -= mean
     if not x.any():
-        raise ValueError("draws do not vary: the chains have not moved")
+        raise ValueError(
+            f"the {len(x)} draws do not vary: the chains have not moved, run them longer or with "
+            "another step"
+        )
     return x, mean, values.shape[2:]
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .ranks import check_beside
+from .checks import check_beside, check_level
 from .spread import ends_at_ranks, interval
 
 
@@ -43,11 +43,11 @@ def repair_intervals(
     is about the least for which the bound is below 1 - `level`. It holds for
     images exchangeable with these: of the same specimens, prior, optics and exposure. Pixels are
     repaired on average, not each; draws are not repaired.
-    Raises ValueError for too few images: none outside would not be enough.
+    Raises ValueError for too few images (none outside would not be enough), fewer draws than
+    `interval` takes, draws and truths that do not fit or are not finite, and pixels without spread.
     """
-    for name, value in (("level", level), ("confidence", confidence)):
-        if not 0 < value < 1:
-            raise ValueError(f"{name} {value}: it must lie between 0 and 1")
+    check_level(level)
+    check_level(confidence, "confidence")
     draws, truths = np.asarray(draws), np.asarray(truths)
     check_beside(truths, draws)
     n, miss = len(truths), 1 - level
@@ -75,7 +75,10 @@ def repair_intervals(
 
 
 def widened(values: np.ndarray, repair: Repair) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the repaired intervals of draws (chains, draws, *shape), in the draws' unit."""
+    """Ends of the repaired intervals of draws (chains, draws, *shape), in the draws' unit.
+
+    Raises ValueError as `interval` does.
+    """
     low, high = interval(values, repair.level)
     middle = np.median(values, axis=(0, 1))
     return middle - repair.factor * (middle - low), middle + repair.factor * (high - middle)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
+from .checks import check_level
 from .ranks import randomised_ranks
 
 
@@ -31,8 +32,7 @@ def coverage(
     and its prior, so that n is the number of images, and never of pixels. Raises ValueError as
     `randomised_ranks` does, for fewer than 2 images and levels outside (0, 1).
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level {level}: it must lie between 0 and 1")
+    check_level(level)
     if len(truths) < 2:
         raise ValueError("one image: how far its pixels are covered says nothing of others, give 2")
     u = randomised_ranks(truths, draws, rng).reshape(len(truths), -1)

@@ -42,10 +42,13 @@ def sliced_wasserstein(
     `a` (m, *shape), `b` (n, *shape), real or complex; the mean over random directions of the real
     view of the mean distance of quantiles (Bonneel et al. 2015). To be read in posterior standard
     deviations: divide by the root mean square sd of a component.
-    Raises ValueError for draws that are not finite, or of different dimension.
+    Raises ValueError for draws that are not finite, or of different dimension, and for projections
+    that are no whole number, 1 or more.
     """
     a, b = _pair(a, b)
-    directions = rng.standard_normal((a.shape[1], projections))
+    if int(projections) != projections or projections < 1:
+        raise ValueError(f"projections {projections}: give a whole number, 1 or more")
+    directions = rng.standard_normal((a.shape[1], int(projections)))
     directions /= np.linalg.norm(directions, axis=0)
     level = (np.arange(min(len(a), len(b))) + 0.5) / min(len(a), len(b))
     quantiles = [np.quantile(x @ directions, level, axis=0) for x in (a, b)]
@@ -120,7 +123,11 @@ def noise_floor(
     repeats: int = 8,
     distance: TwoSample = sliced_wasserstein,
 ) -> float:
-    """Mean `distance` of two exact sets of `size` draws, split off `reference` (n, *shape)."""
+    """Mean `distance` of two exact sets of `size` draws, split off `reference` (n, *shape).
+
+    Raises ValueError for a reference of fewer than 2 `size` draws, or of draws that are all the
+    same, a size below 1, fewer than 2 repeats, and as `distance` does.
+    """
     return float(np.mean(_of_exact_sets(reference, size, rng, repeats, distance)))
 
 
@@ -136,6 +143,7 @@ def two_sample_p(
     `a` (m, *shape), `b` (n, *shape). By how many divisions of all draws into two sets of these
     sizes are as far apart. Exact at every size if the draws are independent, in steps of
     1 / (permutations + 1); equal distances are ordered at random. Chains must be thinned first.
+    Raises ValueError for fewer than 19 permutations, and as `distance` does.
     """
     return _permuted(a, b, rng, distance, permutations)[1]
 
@@ -152,10 +160,11 @@ def beside_floor(
 
     `reference` (2 n or more, *shape): exact draws. The floor is that of `repeats` pairs of sets of
     n split off it, which share draws: its sd is a little small where the reference is. p by
-    `two_sample_p`. Raises ValueError for a reference that is too small, and as `distance` does.
+    `two_sample_p`. Raises ValueError as `noise_floor` and `two_sample_p` do.
     """
+    draws, reference = np.asarray(draws), np.asarray(reference)
     floors = _of_exact_sets(reference, len(draws), rng, repeats, distance)
-    chosen = np.asarray(reference)[rng.permutation(len(reference))[: len(draws)]]
+    chosen = reference[rng.permutation(len(reference))[: len(draws)]]
     value, p = _permuted(draws, chosen, rng, distance, permutations)
     return Distance(value, float(np.mean(floors)), float(np.std(floors, ddof=1)), p)
 
@@ -170,7 +179,8 @@ def flat(x: np.ndarray) -> np.ndarray:
     lost = int(np.sum(~np.isfinite(x).all(axis=1)))
     if lost:
         raise ValueError(
-            f"{lost} of {len(x)} draws are not finite: a sampler that makes such fails"
+            f"{lost} of {len(x)} draws are not finite: the run has diverged, give the sampler a "
+            "smaller step"
         )
     return x.astype(float)
 
@@ -204,6 +214,7 @@ def _permuted(
     a: np.ndarray, b: np.ndarray, rng: np.random.Generator, distance: TwoSample, permutations: int
 ) -> tuple[float, float]:
     """The distance, and its p-value."""
+    a, b = np.asarray(a), np.asarray(b)
     if permutations < 19:
         raise ValueError(f"{permutations} permutations: give 19 or more, fewer never reach 5 %")
     value = distance(a, b, rng)
@@ -218,10 +229,18 @@ def _permuted(
 def _of_exact_sets(
     reference: np.ndarray, size: int, rng: np.random.Generator, repeats: int, distance: TwoSample
 ) -> list[float]:
+    reference = np.asarray(reference)
+    if int(size) != size or size < 1:
+        raise ValueError(f"sets of {size} draws: give a whole number, 1 or more")
     if 2 * size > len(reference):
         raise ValueError(f"two sets of {size} need a reference of {2 * size}, not {len(reference)}")
     if repeats < 2:
         raise ValueError(f"{repeats} repeats: give 2 or more")
+    if np.all(reference == reference[:1]):
+        raise ValueError(
+            f"all {len(reference)} draws of the reference are the same, which have no distance to "
+            "read others by: give exact draws"
+        )
     found = []
     for _ in range(repeats):
         order = rng.permutation(len(reference))
@@ -232,10 +251,12 @@ def _of_exact_sets(
 
 def _pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if np.iscomplexobj(a) != np.iscomplexobj(b):
-        raise ValueError("draws of a complex and of a real object: not one problem")
+        raise ValueError("draws of a complex and of a real object: give two sets of one problem")
     a, b = flat(a), flat(b)
     if a.shape[1] != b.shape[1]:
-        raise ValueError(f"draws of {a.shape[1]} and of {b.shape[1]} dimensions: not one problem")
+        raise ValueError(
+            f"draws of {a.shape[1]} and of {b.shape[1]} dimensions: give two sets of one problem"
+        )
     return a, b
 
 

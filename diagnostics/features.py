@@ -10,6 +10,7 @@ import numpy as np
 
 from ..models.priors.learned import LearnedPrior
 from ..models.priors.unet import UNet
+from .checks import check_finite, check_real
 
 # Side of a patch: three halvings of it are the scales.
 PATCH = 8
@@ -31,9 +32,12 @@ def haar_bands(images: np.ndarray) -> np.ndarray:
     The patch's mean, and the root mean square of its Haar coefficients (Mallat 1989) at 2, 4 and 8
     pixels, across rows, across columns and across both; in the unit of the images. Planes of a
     picture in colour are samples beside each other: how colours go together is not seen. Rows and
-    columns over a multiple of 8 are left out; raises ValueError for smaller pictures.
+    columns over a multiple of 8 are left out; raises ValueError for smaller pictures, and ones that
+    are complex or not finite.
     """
-    images = _planes_apart(np.asarray(images, float))
+    images = np.asarray(images)
+    check_pictures(images)
+    images = _planes_apart(images.astype(float))
     h, w = (n // PATCH for n in images.shape[2:])
     if min(h, w) < 1:
         raise ValueError(f"pictures of {images.shape[2:]}: give {PATCH} x {PATCH} or larger")
@@ -73,10 +77,18 @@ def bottleneck_features(prior: LearnedPrior, sigma: float | None = None) -> Feat
         return found.reshape(len(channels), -1, found.shape[-1])
 
     def of(images: np.ndarray) -> np.ndarray:
-        channels = np.asarray(images, np.float32)
+        images = np.asarray(images)
+        check_pictures(images)
+        channels = images.astype(np.float32)
         return np.asarray(one_batch(channels if channels.ndim == 4 else channels[..., None]), float)
 
     return Features(f"bottleneck of the prior's network at {sigma:g}", of)
+
+
+def check_pictures(images: np.ndarray) -> None:
+    """Refuse pictures that are complex or not finite."""
+    check_real(pictures=images)
+    check_finite("pictures", images, "leave out those that hold them")
 
 
 def _planes_apart(images: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .distance import rank_p
-from .features import HAAR, Features
+from .features import HAAR, Features, check_pictures
 from .fidelity import frechet_of_moments
 
 
@@ -50,7 +50,8 @@ def frechet_from_truths(
     and covariances of the features; structure larger than a sample of theirs; whether intervals are
     true. Samples of one picture are not independent: the pictures are the unit of the null.
 
-    Raises ValueError for shapes that do not fit, fewer than 2 pictures and 19 relabellings.
+    Raises ValueError for shapes that do not fit, fewer than 2 pictures and 19 relabellings, for
+    truths of one value everywhere, and pictures that are complex or not finite.
     """
     truths, draws = np.asarray(truths), np.asarray(draws)
     if len(truths) < 2 or draws.ndim < 3 or draws.shape[:1] + draws.shape[2:] != truths.shape:
@@ -60,6 +61,8 @@ def frechet_from_truths(
         )
     if relabellings < 19:
         raise ValueError(f"{relabellings} relabellings: give 19 or more, fewer never reach 5 %")
+    check_pictures(draws)
+    _check_truths(truths)
     both = np.concatenate([truths[:, None], draws], axis=1)
     n, size = both.shape[:2]
     found = _moments(features.of(both.reshape(n * size, *truths.shape[1:])))
@@ -76,10 +79,15 @@ def frechet_of_halves(
     """The same distance between two halves of `truths` (n, h, w[, 3]): of different pictures.
 
     The mean of `repeats` divisions at random. What n / 2 pictures have from n / 2 others, with
-    nothing wrong; raises ValueError for fewer than 2.
+    nothing wrong. Raises ValueError for fewer than 2 or fewer than 1 of `repeats`, truths of one
+    value everywhere, and pictures that are complex or not finite.
     """
+    truths = np.asarray(truths)
     if len(truths) < 2:
         raise ValueError(f"{len(truths)} pictures have no halves: give 2 or more")
+    if repeats < 1:
+        raise ValueError(f"{repeats} repeats: give 1 or more")
+    _check_truths(truths)
     moments, half, apart = _moments(features.of(truths)), len(truths) // 2, []
     scale = _scale(_pooled(moments))
     for _ in range(repeats):
@@ -89,6 +97,15 @@ def frechet_of_halves(
             _distance(*(_pooled(_Moments(*(m[i] for m in moments))) for i in parts), scale)
         )
     return float(np.mean(apart))
+
+
+def _check_truths(truths: np.ndarray) -> None:
+    check_pictures(truths)
+    if np.all(truths == truths.flat[0]):
+        raise ValueError(
+            f"the {len(truths)} truths are {truths.flat[0]:g} everywhere: their features have no "
+            "sd to measure a distance by, give pictures"
+        )
 
 
 def _moments(features: np.ndarray) -> _Moments:

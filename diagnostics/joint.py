@@ -20,7 +20,7 @@ from ..problem import Posterior, Problem
 from ..samplers import Ensemble
 from ..samplers.base import PopulationSampler, Sampler
 from ..sampling import NonFiniteError
-from .campaign import SamplerRefusal
+from .campaign import SamplerRefusal, check_asked
 from .quantities import Quantity, default_quantities, values_of
 from .uniformity import holm
 
@@ -131,6 +131,7 @@ def geweke(
     Raises ValueError for bad settings, samplers that are not moves of one object or refuse the
     problem, and quantities that are no real scalars; NonFiniteError where a quantity is NaN.
     """
+    check_asked(problem, sampler)
     for name, value, least in (
         ("chains", chains, _FEWEST),
         ("transitions", transitions, 1),
@@ -226,6 +227,11 @@ def _moved(
     """The object after one transition's moves."""
     if not isinstance(sampler, Sampler):
         moved = sampler(key, posterior, x)
+        if not isinstance(moved, jax.Array):
+            raise ValueError(
+                f"the kernel gives a {type(moved).__name__}: give an object, a JAX array {x.dtype} "
+                f"{x.shape}"
+            )
         if jnp.shape(moved) != x.shape or moved.dtype != x.dtype:
             raise ValueError(
                 f"the kernel gives {moved.dtype} {jnp.shape(moved)}: give an object, "

@@ -6,6 +6,8 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist, squareform
 
+from .checks import check_finite
+
 _GAP = 2.0
 
 
@@ -29,12 +31,18 @@ def modes(values: np.ndarray, gap: float = _GAP) -> Modes:
     draw is the one before, and its draws seem many modes. Copies are told apart by nothing, and
     all count in their mode's weight. A weight is a share of the draws: of the posterior only if the
     sampler travels between modes. Of chains that stay in the valley where they started it is a
-    share of the starts. Raises ValueError for fewer than 3 draws.
+    share of the starts. Raises ValueError for fewer than 3 draws, values that are not finite, and
+    a gap that is not positive.
     """
     values = np.asarray(values)
+    if values.ndim < 2:
+        raise ValueError(f"draws of shape {values.shape}: give (chains, draws, *shape)")
+    if not gap > 0:
+        raise ValueError(f"gap {gap}: it must be positive")
     chains, draws = values.shape[:2]
     if chains * draws < 3:
         raise ValueError(f"{chains} x {draws} draws: modes are told apart from 3 draws on")
+    check_finite("draws", values)
     flat = values.reshape(chains * draws, -1)
     if np.iscomplexobj(flat):
         flat = np.concatenate([flat.real, flat.imag], axis=1)

@@ -13,7 +13,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 
-from .spread import circular_sd, interval_width
+from .checks import varies
+from .spread import circular_sd, widest
 
 _INCH = 2.0  # a side of a panel
 _DPI = 150
@@ -36,7 +37,8 @@ def complex_maps(values: np.ndarray, level: float = 0.9) -> ComplexMaps:
     """Maps of aligned complex draws (chains, draws, *shape).
 
     Phases are referred to that of the mean field, so that an interval never straddles the cut at
-    +-pi; their sd is circular. Widths are those of the central interval that holds `level`.
+    +-pi; their sd is circular. Widths are those of the central interval that holds `level`, or of
+    fewer draws of the widest there is (`spread.held_by`); all are 0 of draws that stand still.
     """
     mean = values.mean(axis=(0, 1))
     amplitude, phase = np.abs(values), np.angle(values * np.exp(-1j * np.angle(mean)))
@@ -44,9 +46,9 @@ def complex_maps(values: np.ndarray, level: float = 0.9) -> ComplexMaps:
         amplitude.mean(axis=(0, 1)),
         np.angle(mean),
         amplitude.std(axis=(0, 1)),
-        circular_sd(phase),
-        interval_width(amplitude, level),
-        interval_width(phase, level),
+        circular_sd(phase) if varies(phase.reshape(-1, *mean.shape), 0) else np.zeros(mean.shape),
+        widest(amplitude, level),
+        widest(phase, level),
     )
 
 
@@ -62,22 +64,31 @@ def overview(
     data_title: str = "recording",
     data_is_object: bool = False,
     title: str | None = None,
-) -> Figure:
-    """Draw a run, save it as PNG to `path` unless that is None, and return the figure.
+    level: float = 0.9,
+) -> np.ndarray:
+    """Draw a run, save it as PNG to `path` unless that is None, and return the axes (panels,).
 
-    `draws`: objects (h, w), two or more; `mean`: an object; `data`: any picture, shown on the
-    object's scale if `data_is_object`. `sd` and `width` (of the 90 % interval) are (h, w); for
-    complex objects (2, h, w), of amplitude and of phase in radians, and then `truth` and `draws`
-    must be aligned to `mean` (`gauge.align`). Without `truth` its panel, and that of the error of
-    the mean, are left out.
+    `draws`: objects (h, w), two or more; in colour (h, w, 3), and then so are `sd` and `width`, of
+    which the root mean square over the channels is shown; `mean`: an object; `data`: any picture,
+    shown on the object's scale if `data_is_object`. `sd` and `width` (of the `level` interval) are
+    (h, w); for complex objects (2, h, w), of amplitude and of phase in radians, and then `truth`
+    and `draws` must be aligned to `mean` (`gauge.align`). Without `truth` its panel, and that of
+    the error of the mean, are left out. The figure is `axes[0].figure`.
+    Raises ValueError for fewer than two draws, and draws of another shape than the mean.
     """
-    shown = _Shown(truth, data, draws, mean, sd, width, data_title, data_is_object)
+    shapes = {np.shape(draw) for draw in draws}
+    if len(draws) < 2 or shapes != {np.shape(mean)}:
+        raise ValueError(
+            f"{len(draws)} draws of shape {', '.join(map(str, shapes))} beside a mean of "
+            f"{np.shape(mean)}: give two draws or more, each shaped as the mean"
+        )
+    shown = _Shown(truth, data, draws, mean, sd, width, data_title, data_is_object, level)
     figure = _complex_overview(shown) if np.iscomplexobj(mean) else _real_overview(shown)
     if title:
         figure.suptitle(title, fontsize=11, y=0.985)
     if path is not None:
         FigureCanvasAgg(figure).print_figure(os.fspath(path), dpi=_DPI, format="png")
-    return figure
+    return np.array([axes for axes in figure.axes if axes.images])
 
 
 class _Shown(NamedTuple):
@@ -91,6 +102,7 @@ class _Shown(NamedTuple):
     width: np.ndarray
     data_title: str
     data_is_object: bool
+    level: float
 
 
 class _Panel(NamedTuple):
@@ -107,7 +119,8 @@ class _Panel(NamedTuple):
 def _real_overview(shown: _Shown) -> Figure:
     """Two rows: what is known above, what is drawn below; how sure each pixel is at their ends."""
     truth, mean = shown.truth, shown.mean
-    error = None if truth is None else np.abs(mean - truth)
+    error = None if truth is None else _over_channels(np.abs(mean - truth))
+    shown = shown._replace(sd=_over_channels(shown.sd), width=_over_channels(shown.width))
     grey = _scale([*shown.draws[:2], mean, *([] if truth is None else [truth])], _GREY)
     own = grey if shown.data_is_object else _scale([shown.data], _GREY)
     spread, wide = _spread_scale(shown.sd, error), _scale([shown.width], _WIDTH, zero=True)
@@ -121,7 +134,7 @@ def _real_overview(shown: _Shown) -> Figure:
         _Panel("a draw", shown.draws[0], grey),
         _Panel("another draw", shown.draws[1], grey),
         _Panel("error of the mean", error, spread),
-        _Panel("width of 90 % interval", shown.width, wide),
+        _Panel(f"width of {100 * shown.level:.0f} % interval", shown.width, wide),
     )
     columns = len(top)
     aspect = mean.shape[0] / mean.shape[1]
@@ -133,6 +146,11 @@ def _real_overview(shown: _Shown) -> Figure:
     _bar(figure, grid[0, -1], spread, "sd" if truth is None else "sd, error")
     _bar(figure, grid[1, -1], wide, "width")
     return figure
+
+
+def _over_channels(values: np.ndarray) -> np.ndarray:
+    """A map (h, w) of one (h, w[, 3])."""
+    return values if values.ndim == 2 else np.sqrt(np.mean(values**2, axis=-1))
 
 
 # ---- complex objects -----------------------------------------------------------------------------
@@ -170,7 +188,11 @@ def _complex_overview(shown: _Shown) -> Figure:
         _bar(figure, grid[row, 0], scale, part.unit, left=True)
         sure = (
             _Panel(f"sd of {part.name}", sd, spread),
-            _Panel(f"90 % width, {part.name}", width, _scale([width], _WIDTH, zero=True)),
+            _Panel(
+                f"{100 * shown.level:.0f} % width, {part.name}",
+                width,
+                _scale([width], _WIDTH, zero=True),
+            ),
         )
         for column, panel in enumerate(sure):
             _bar_under(figure, _show(figure, grid[2, 2 + 2 * row + column], panel), panel.scale)
@@ -246,8 +268,11 @@ def _present(*panels: _Panel) -> list[_Panel]:
 
 
 def _show(figure: Figure, place: SubplotSpec, panel: _Panel) -> Axes:
-    axes, scale = figure.add_subplot(place), panel.scale
-    axes.imshow(panel.picture, norm=scale.norm, cmap=scale.cmap, interpolation="nearest")
+    axes, scale, picture = figure.add_subplot(place), panel.scale, panel.picture
+    if picture.ndim == 3:
+        # Matplotlib applies no scale to colours.
+        picture = np.clip(scale.norm(picture), 0, 1)
+    axes.imshow(picture, norm=scale.norm, cmap=scale.cmap, interpolation="nearest")
     axes.set_title(panel.title, fontsize=9, pad=4)
     axes.set_xticks([])
     axes.set_yticks([])

@@ -51,7 +51,7 @@ def posterior_sbc(
     one that never finds a mode, and so does a wrong model, for the second exposure is of it. Other
     faults of both runs cancel in part. `sbc` sees them, on average over recordings.
     Raises ValueError as `sbc` does, for `first` of another shape or kind, shorter than
-    `simulations` or not finite, and for cameras and priors that `Exposures` refuses.
+    `simulations`, not finite or all the same, and for cameras and priors that `Exposures` refuses.
     """
     if not isinstance(posterior, Posterior):
         raise ValueError(f"posterior is a {type(posterior).__name__}: use problem.condition(y)")
@@ -91,8 +91,17 @@ def _chosen(first: np.ndarray, posterior: Posterior, count: int) -> jax.Array:
         raise ValueError(
             f"{len(first)} first draws for {count} simulations: give one or more for each"
         )
-    if not np.all(np.isfinite(first)):
-        raise ValueError("first draws hold NaN or infinity: the run has diverged")
+    lost = int(np.sum(~np.isfinite(first.reshape(len(first), -1)).all(axis=1)))
+    if lost:
+        raise ValueError(
+            f"{lost} of {len(first)} first draws hold NaN or infinity: the run has diverged, give "
+            "the sampler a smaller step"
+        )
+    if np.all(first == first[:1]):
+        raise ValueError(
+            f"all {len(first)} first draws are the same: the chains have not moved, give draws of "
+            "the posterior"
+        )
     kind = complex if np.iscomplexobj(first) else float
     even = np.linspace(0, len(first) - 1, count).round().astype(int)
     return jnp.asarray(first[even], jax.dtypes.canonicalize_dtype(kind))

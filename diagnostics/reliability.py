@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .checks import check_beside, check_varies
+
 
 class Reliability(NamedTuple):
     """For each bin of pixels (bins,), from the least stated spread to the largest.
@@ -26,19 +28,19 @@ def reliability(draws: np.ndarray, truths: np.ndarray, bins: int = 10) -> Reliab
 
     Bins hold as many pixels each. Pixels are sorted by the variance of the first half of the draws,
     and `stated` is that of the second: a variance of few draws is large by chance too, and what was
-    chosen for it would state too much. Raises ValueError for fewer than 4 draws, or fewer pixels
-    than bins.
+    chosen for it would state too much. Raises ValueError as `spread_over_error` does, for fewer
+    than 4 draws, and for bins that are no whole number from 1 to that of the pixels.
     """
+    draws, truths = np.asarray(draws), np.asarray(truths)
+    check_beside(truths, draws, real=False, fewest=4)
+    check_varies(draws, axis=1)
+    if int(bins) != bins or not 1 <= bins <= truths.size:
+        raise ValueError(f"{bins} bins: give a whole number, 1 to the {truths.size} pixels")
     count = draws.shape[1]
-    if count < 4 or truths.size < bins or bins < 1:
-        raise ValueError(
-            f"{count} draws of {truths.size} pixels in {bins} bins: give 4 draws or more, and a "
-            "pixel or more for each bin"
-        )
     halves = np.split(draws, [count // 2], axis=1)
     first, second = (np.ravel(half.var(axis=1, ddof=1)) for half in halves)
     square = np.ravel(np.abs(draws.mean(axis=1) - truths) ** 2)
-    parts = np.array_split(np.argsort(first, kind="stable"), bins)
+    parts = np.array_split(np.argsort(first, kind="stable"), int(bins))
     # The mean of so many draws keeps a share 1 / L of their variance.
     stated = [second[part].mean() * (1 + 1 / count) for part in parts]
     return Reliability(np.sqrt(stated), np.sqrt([square[part].mean() for part in parts]))

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
+from .checks import check_finite, check_real
+
 
 class Check(NamedTuple):
     """A figure, what it is under the noise model, and its standard error there."""
@@ -41,17 +43,28 @@ def residual_checks(difference: np.ndarray, variance: np.ndarray, block: int = 3
     they tell. A pixel of variance 0 is left out. With a draw of the posterior in place of the truth
     they hold as well, for truth and draw are exchangeable; with the posterior mean they do not.
     Approximations: errors of `rows` and `columns` are exact, that of `square` is measured, that of
-    `blocks` takes a block's sum as normal. Raises ValueError for unlike shapes, negative variances,
-    fewer than two whole blocks, and where nothing is left.
+    `blocks` takes a block's sum as normal. Raises ValueError for unlike shapes, values that are
+    complex or not finite, negative variances, fewer than two whole blocks, and where nothing is
+    left.
     """
-    difference, variance = np.asarray(difference, float), np.asarray(variance, float)
+    difference, variance = np.asarray(difference), np.asarray(variance)
+    check_real(differences=difference, variances=variance)
+    difference, variance = difference.astype(float), variance.astype(float)
     if difference.shape != variance.shape or difference.ndim != 2:
         raise ValueError(
             f"difference {difference.shape} and variance {variance.shape}: give one (h, w) for both"
         )
-    if not (np.all(np.isfinite(difference)) and np.all(variance >= 0) and variance.sum() > 0):
-        raise ValueError("give finite differences, and variances from 0 up that are not all 0")
-    if block < 1 or np.prod([n // block for n in difference.shape]) < 2:
+    for name, array in (("differences", difference), ("variances", variance)):
+        check_finite(name, array, "give such pixels the difference 0 and the variance 0")
+    if not (np.all(variance >= 0) and variance.sum() > 0):
+        raise ValueError(
+            f"variances from {variance.min(initial=0):g} to {variance.max(initial=0):g}: give "
+            "variances from 0 up that are not all 0"
+        )
+    if int(block) != block or block < 1:
+        raise ValueError(f"blocks of {block}: give a whole number of pixels, 1 or more")
+    block = int(block)
+    if np.prod([n // block for n in difference.shape]) < 2:
         raise ValueError(f"blocks of {block} in {difference.shape}: at least two must fit")
     difference = np.where(variance > 0, difference, 0.0)
     return Residuals(

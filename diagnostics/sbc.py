@@ -10,7 +10,7 @@ import numpy as np
 
 from ..problem import Problem
 from ..samplers.base import PopulationSampler, Sampler
-from .campaign import Drawer, Settings, simulate
+from .campaign import Drawer, Settings, Simulations, check_asked, simulate
 from .quantities import Quantity, default_quantities
 from .ranks import randomised_ranks, thinned
 from .uniformity import holm, uniformity
@@ -40,13 +40,42 @@ class Calibration(NamedTuple):
     def _raw_p(self) -> list[float]:
         return [uniformity(u) for u in self.ranks.T]
 
+    @property
+    def judged_p(self) -> dict[str, float]:
+        """As `p`, of the quantities that a verdict is on: those of 5 independent draws or more."""
+        fine = self.effective >= _FEWEST
+        return holm({n: p for n, p, is_fine in zip(self.names, self._raw_p, fine) if is_fine})
+
     def coverage(self, level: float) -> dict[str, tuple[float, float]]:
-        """Share of the truths inside the central interval of `level`, and its standard error."""
+        """Share of the truths inside the central interval of `level`, and its standard error.
+
+        The error is that of a right sampler. Raises ValueError for levels outside (0, 1).
+        """
+        error = self._coverage_error(level)
+        shares = np.mean(np.abs(self.ranks - 0.5) < level / 2, axis=0)
+        return {name: (float(share), error) for name, share in zip(self.names, shares)}
+
+    def hpd_coverage(self, level: float) -> tuple[float, float]:
+        """Share of the truths in the region of highest density of mass `level`, and its error.
+
+        The region is that of the objects whose posterior density is above that of all but a share
+        `level` of the draws: a truth is in it if its rank in "log-posterior" is above 1 - `level`
+        (Hyndman 1996). The standard error is that of a right sampler. Raises ValueError for levels
+        outside (0, 1), and where the log-posterior was not asked for.
+        """
+        error = self._coverage_error(level)
+        if "log-posterior" not in self.names:
+            raise ValueError(
+                "no log-posterior among the quantities, so that regions of highest density are not "
+                "known: give a prior with a log_prob, or ask for a quantity of that name"
+            )
+        ranks = self.ranks[:, self.names.index("log-posterior")]
+        return float(np.mean(ranks > 1 - level)), error
+
+    def _coverage_error(self, level: float) -> float:
         if not 0 < level < 1:
             raise ValueError(f"level {level}: it must lie between 0 and 1")
-        inside = np.abs(self.ranks - 0.5) < level / 2
-        error = np.sqrt(level * (1 - level) / len(inside))
-        return {name: (float(share), error) for name, share in zip(self.names, inside.mean(axis=0))}
+        return float(np.sqrt(level * (1 - level) / len(self.ranks)))
 
     def verdict(self, alpha: float = 0.05) -> str:
         """One sentence: passes, fails (in what, and how), or cannot be judged, and why.
@@ -55,11 +84,9 @@ class Calibration(NamedTuple):
         quantities of which there are 5 independent draws or more; where there are fewer, and no
         other fails, it cannot be judged.
         """
-        n, fine = len(self.ranks), self.effective >= _FEWEST
-        judged = {name: p for name, p, is_fine in zip(self.names, self._raw_p, fine) if is_fine}
-        p = holm(judged)
+        n, p = len(self.ranks), self.judged_p
         worst = min(p, key=p.__getitem__) if p else ""
-        if not fine.all() and (not p or p[worst] >= alpha):
+        if len(p) < len(self.names) and (not p or p[worst] >= alpha):
             coarse = int(np.argmin(self.effective))
             few = self.effective[coarse]
             more = np.ceil(10 * _FEWEST / few) / 10
@@ -106,8 +133,10 @@ def sbc(
     diffusion) their error counts too.
 
     Passing is no proof: a fault that no quantity sees passes, and so does one too small for so
-    many simulations.
+    many simulations. Raises ValueError as `simulate` does, for fewer than 20 simulations or 8 draws
+    of a chain, and where every draw is as its object in every quantity.
     """
+    check_asked(problem, sampler)
     if simulations < 20:
         raise ValueError(f"{simulations} simulations: give 20 or more, no test sees less")
     if independent is None:
@@ -116,10 +145,12 @@ def sbc(
     settings = Settings(chains, draws, warmup, thin)
     if not independent and draws < 8:
         raise ValueError(f"{draws} draws a chain: give 8 or more, to know how far they depend")
-    names, truths, found, seconds = simulate(
+    simulated = simulate(
         problem, sampler, key, simulations, quantities, settings,
         batch=batch, folder=folder, executor=executor, progress=progress,
     )  # fmt: skip
+    _refuse_constant(simulated)
+    names, truths, found, seconds = simulated
     kept = np.ones(found.shape, bool) if independent else thinned(found)
     flat, kept = (a.reshape(len(a), -1, len(names)) for a in (found, kept))
     # The ranks' own randomness follows the key too, away from every simulation's.
@@ -132,6 +163,15 @@ def _independent(sampler: Sampler | Drawer, draws: int) -> bool:
     if not isinstance(sampler, Sampler) or draws == 1:
         return True
     return sampler.independent or isinstance(sampler, PopulationSampler)
+
+
+def _refuse_constant(found: Simulations) -> None:
+    """Of ties the ranks are random: they would be uniform, and pass."""
+    if np.all(found.draws == found.truths[:, None, None]):
+        raise ValueError(
+            f"in all {len(found.truths)} simulations every draw is as its object in "
+            f"{', '.join(found.names)}: nothing is ranked, give quantities and draws that vary"
+        )
 
 
 def _fault(u: np.ndarray) -> str:

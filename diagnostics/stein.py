@@ -113,6 +113,6 @@ def _scores(draws: np.ndarray, score: Score) -> np.ndarray:
     if lost:
         raise ValueError(
             f"the score is not finite at {lost} of {len(found)} draws: they lie where the "
-            "posterior has no density, which no discrepancy measures"
+            "posterior has no density, give draws of a run that does not leave it"
         )
     return flat(found)

@@ -18,7 +18,7 @@ def uniformity(u: np.ndarray) -> float:
     them together: equal local levels (Aldor-Noiman et al. 2013; Saeilynoja, Buerkner and Vehtari
     2022), which sees the tails where Kolmogorov and Smirnov's test does not. Exact for every n, by
     a recursion over the order statistics; below 1e-9 an upper bound, n times the pointwise level.
-    Raises ValueError for values outside [0, 1], NaN, or none.
+    Raises ValueError for complex values, values outside [0, 1], NaN, or none.
     """
     u = _checked(u)
     ordered, k = np.sort(u), np.arange(1, len(u) + 1)
@@ -31,11 +31,14 @@ def bands(n: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """Between which the k-th smallest of `n` uniform numbers lies, for all k together; (n,) each.
 
     With probability `level` none of them is outside: the simultaneous bands of an empirical
-    distribution function, for the test in `uniformity`. Raises ValueError for n below 1 and levels
-    outside (0, 1).
+    distribution function, for the test in `uniformity`. Raises ValueError for n that is no whole
+    number, 1 or more, and levels outside (0, 1).
     """
-    if n < 1 or not 0 < level < 1:
-        raise ValueError(f"n {n}, level {level}: give n of 1 or more, a level between 0 and 1")
+    if int(n) != n or n < 1 or not 0 < level < 1:
+        raise ValueError(
+            f"n {n}, level {level}: give n of 1 or more, a whole number, a level between 0 and 1"
+        )
+    n = int(n)
     if n == 1:
         return _limits(1 - level, n)
     local = np.exp(
@@ -53,8 +56,11 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
     """p-values adjusted for their number, in the same order (Holm 1979).
 
     With probability 1 - alpha none of the true hypotheses falls below alpha, however the tests
-    depend on each other.
+    depend on each other. Raises ValueError for p outside [0, 1], or NaN.
     """
+    for name, value in p.items():
+        if not 0 <= value <= 1:
+            raise ValueError(f"p {value} of {name}: give a probability, from 0 to 1")
     names = sorted(p, key=p.__getitem__)
     factors = np.arange(len(names), 0, -1)
     adjusted = np.minimum(np.maximum.accumulate(factors * [p[name] for name in names]), 1.0)
@@ -94,7 +100,10 @@ def _any_outside(local: float, n: int) -> float:
 
 
 def _checked(u: np.ndarray) -> np.ndarray:
-    u = np.asarray(u, dtype=float)
+    u = np.asarray(u)
+    if np.iscomplexobj(u):
+        raise ValueError(f"ranks are {u.dtype}: give real fractions from 0 to 1")
+    u = u.astype(float)
     if u.ndim != 1 or len(u) == 0:
         raise ValueError(f"ranks of shape {u.shape}: give (n,), one or more")
     if not np.all((u >= 0) & (u <= 1)):

@@ -62,14 +62,19 @@ class Draws:
     def sd(self) -> np.ndarray:
         """Posterior standard deviation over all chains, object shape; real.
 
-        Complex objects: sqrt(E|x - mean|^2), Re and Im together.
+        Complex objects: sqrt(E|x - mean|^2), Re and Im together. Raises ValueError for one draw.
         """
         return np.sqrt(_total(self.variance))
 
     @property
     def variance(self) -> np.ndarray:
-        """Variance over all chains, between them included; Re + j Im parts for complex objects."""
+        """Variance over all chains, between them included; Re + j Im parts for complex objects.
+
+        Raises ValueError for one draw.
+        """
         n = self.dataset.sizes.get("draw", 2)
+        if n * self.dataset.sizes["chain"] < 2:
+            raise ValueError("one draw has no spread: sample two or more, by draws or by chains")
         within = self.dataset["variance"].values.mean(axis=0) * ((n - 1) / n)
         deviation = self.dataset["mean"].values - self.mean
         if np.iscomplexobj(deviation):

@@ -7,6 +7,7 @@ from ..diagnostics.coverage import coverage
 from ..diagnostics.fidelity import psnr, ssim
 from ..diagnostics.gauge import align, gauge_to
 from ..diagnostics.reliability import reliability
+from ..diagnostics.reliability_plot import plot_reliability
 from ..diagnostics.spread import spread_over_error
 from ..models.optics import CIRCULAR_SHIFT, CONJUGATE_FLIP
 from .harness import Answer
@@ -202,11 +203,8 @@ def _variance_row(axes: np.ndarray, truth: np.ndarray, draws: np.ndarray) -> Non
 
 
 def _reliability(axis, draws: np.ndarray, truths: np.ndarray) -> None:  # noqa: ANN001
-    bins = reliability(draws, truths)
-    largest = 1.05 * max(bins.stated.max(), bins.error.max())
-    axis.plot([0, largest], [0, largest], color="0.7", lw=1)
-    axis.plot(bins.stated, bins.error, "o-", ms=3, lw=1)
+    plot_reliability(reliability(draws, truths), axis, unit=None)
     axis.set_title(f"spread over error {spread_over_error(draws, truths):.2f}", fontsize=8)
-    axis.set_xlabel("stated sd", fontsize=7)
-    axis.set_ylabel("error", fontsize=7)
+    axis.xaxis.label.set_size(7)
+    axis.yaxis.label.set_size(7)
     axis.tick_params(labelsize=6)

@@ -121,7 +121,8 @@ def _row_of(
         values, spread = np.abs(mean), np.abs(draws).std(axis=0)
         error, first = np.abs(np.abs(mean) - np.abs(truth)), np.abs(draws[0])
     else:
-        values, spread = np.angle(mean), circular_sd(np.angle(draws)[None])
+        values = np.angle(mean)
+        spread = circular_sd(np.angle(draws)[None]) if len(draws) > 1 else None
         error, first = np.abs(np.angle(mean * truth.conj())), np.angle(draws[0])
     scale = (0.0, _MOST[part])
     _show(row[0], values, f"{name}: {_PARTS[part]}", range_)

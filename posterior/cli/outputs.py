@@ -51,7 +51,7 @@ def write(
     problem = settings["options"]["problem"]
     draws.save(out / "draws.nc")
     for name, picture in summary.maps.items():
-        write_tiff(out / name, picture)
+        write_tiff(out / name, picture, colour=picture.ndim == 3)
     shown, heading = presets.picture_of(problem, question.y)
     replace_whole(
         out / "figure.png",
@@ -66,6 +66,7 @@ def write(
             data_title=heading,
             data_is_object=problem == DENOISING,
             title=headline(settings),
+            level=summary.level,
         ),
     )
     written = {"draws.nc", "figure.png", SETTINGS, *summary.maps}

@@ -6,13 +6,14 @@ import numpy as np
 
 from ..diagnostics.convergence import ess, rhat
 from ..diagnostics.fidelity import psnr
-from ..diagnostics.gauge import align, gauge_to
+from ..diagnostics.gauge import align, gauge_to, symmetries_of
 from ..diagnostics.modes import modes
 from ..diagnostics.plots import complex_maps
 from ..diagnostics.predictive import misfit
-from ..diagnostics.spread import interval, interval_width
+from ..diagnostics.spread import held_by, interval, widest
 from ..draws import Draws
-from ..models.optics import GLOBAL_PHASE, FourierPtychography, Optics
+from ..models.likelihood import Likelihood
+from ..models.optics import FourierPtychography
 from ..presets import DENOISING, PHASE_RETRIEVAL, Question
 from ..samplers import Sampler
 from ..samplers.base import PopulationSampler, RunSampler
@@ -27,13 +28,15 @@ class Summary(NamedTuple):
     """Draws (chains, draws, *shape) with what the data cannot tell aligned, and what they say.
 
     Of the field of view alone, where the object has a rim beyond it.
-    `maps` are the pictures to write, by file name; `sd` and `width` are as `overview` takes them.
+    `maps` are the pictures to write, by file name; `sd`, `width` and its `level`, which is below
+    LEVEL of few draws, are as `overview` takes them.
     """
 
     values: np.ndarray
     mean: np.ndarray
     sd: np.ndarray
     width: np.ndarray
+    level: float
     maps: dict[str, np.ndarray]
     results: dict[str, float]
 
@@ -43,7 +46,7 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
     truth, optics = question.truth, question.problem.likelihood.optics
     seen = optics.field_of_view if isinstance(optics, FourierPtychography) else ()
     truth = None if truth is None else truth[seen]
-    values = _aligned(draws.values[..., *seen], optics, truth)
+    values = _aligned(draws.values[..., *seen], question.problem.likelihood, truth)
     mean = values.mean(axis=(0, 1))
     results = {}
     if truth is not None and problem == DENOISING:
@@ -68,19 +71,18 @@ def summarise(draws: Draws, question: Question, problem: str, sampler: Sampler) 
         width = np.stack([maps.width_amplitude, maps.width_phase])
         pictures = {f"{n}.tif": getattr(maps, n) for n in maps._fields if "width" not in n}
     else:
-        sd, width = values.std(axis=(0, 1)), interval_width(values, LEVEL)
+        sd, width = values.std(axis=(0, 1)), widest(values, LEVEL)
         pictures = {"mean.tif": mean, "sd.tif": sd}
-    return Summary(values, mean, sd, width, pictures, results)
+    level = held_by(values.shape[0] * values.shape[1], LEVEL)
+    return Summary(values, mean, sd, width, level, pictures, results)
 
 
-def _aligned(values: np.ndarray, optics: Optics, truth: np.ndarray | None) -> np.ndarray:
+def _aligned(values: np.ndarray, likelihood: Likelihood, truth: np.ndarray | None) -> np.ndarray:
     """Draws that the data cannot tell apart, brought together.
 
-    Then, where the truth is known, all of them are brought to it as one. The sign of a real object
-    is not among what is aligned: the prior tells it, by its mean.
+    Then, where the truth is known, all of them are brought to it as one.
     """
-    real = not np.iscomplexobj(values)
-    symmetries = [s for s in optics.symmetries if not (real and s == GLOBAL_PHASE)]
+    symmetries = symmetries_of(likelihood, np.iscomplexobj(values))
     if not symmetries:
         return values
     values = align(values, symmetries=symmetries)

@@ -1,6 +1,7 @@
 """Benchmarks: ratios measured in one process. Run by `make bench`; no test depends on them.
 
-Peak memory is that of the whole process, so each memory case runs in a process of its own.
+Peak memory is that of the whole process, so each memory case runs in a process of its own; that of
+maps of convergence alone is `python tests/benchmarks/run.py convergence`.
 """
 
 import json
@@ -8,6 +9,7 @@ import resource
 import subprocess
 import sys
 import time
+from functools import partial
 
 import blackjax
 import equinox as eqx
@@ -128,8 +130,12 @@ def memory_case(draws, keep):
         progress=False,
     )
     seconds = time.perf_counter() - began
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps({"seconds": seconds, "peak": peak}))
+    print(json.dumps({"seconds": seconds, "peak": peak_memory()}))
+
+
+def peak_memory():
+    """Of this process so far, in MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def memory():
@@ -185,27 +191,88 @@ def calibration_against_a_loop(size=64, rows=48, loop=10):
     print(f"  a loop over BlackJAX: {theirs:.0f} s, ratio {theirs / mine:.0f}")
 
 
-def convergence_against_arviz():
-    """Maps of the effective sample size and R-hat, beside arviz-stats pixel by pixel."""
+def pixel_by_pixel(statistic, x, **settings):
+    """An array function of arviz-stats, called once a pixel."""
     axes = {"chain_axis": 0, "draw_axis": 1}
+    return [statistic(x[..., i], **axes, **settings) for i in range(x.shape[2])]
+
+
+# Of each map of `diagnostics`, the same of arviz-stats.
+MAPS = {
+    "bulk ESS": (diagnostics.ess, partial(pixel_by_pixel, array_stats.ess, method="bulk")),
+    "tail ESS": (
+        partial(diagnostics.ess, method="tail"),
+        partial(pixel_by_pixel, array_stats.ess, method="tail", prob=(0.05, 0.95)),
+    ),
+    "MCSE of the mean": (
+        diagnostics.mcse,
+        partial(pixel_by_pixel, array_stats.mcse, method="mean"),
+    ),
+    "MCSE of the sd": (
+        partial(diagnostics.mcse, method="sd"),
+        partial(pixel_by_pixel, array_stats.mcse, method="sd"),
+    ),
+    "R-hat": (diagnostics.rhat, partial(pixel_by_pixel, array_stats.rhat)),
+    "nested R-hat": (
+        partial(diagnostics.nested_rhat, superchains=2),
+        partial(pixel_by_pixel, array_stats.rhat_nested, superchain_ids=[0, 0, 1, 1]),
+    ),
+}
+
+
+def processor_time(repeats, function):
+    """Least of a call, in seconds: what runs beside it does not count."""
+    function()
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        function()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def convergence_against_arviz(pixels=500):
+    """Maps of every statistic of convergence, beside arviz-stats pixel by pixel."""
     rng = np.random.default_rng(0)
-    for chains, draws in ((1, 100), (4, 100), (4, 1000)):
-        x = rng.standard_normal((chains, draws, 1000)).astype(np.float32)
-        pairs = {"ess": (diagnostics.ess, lambda x: array_stats.ess(x, **axes, method="bulk"))}
-        if chains > 1:
-            pairs["rhat"] = (diagnostics.rhat, lambda x: array_stats.rhat(x, **axes))
-        for name, (mine, theirs) in pairs.items():
-            ours = best_of(3, lambda f=mine, x=x: f(x))
-            one = best_of(3, lambda f=theirs, x=x: [f(x[..., i]) for i in range(1000)])
-            print(f"{name} of 1000 pixels, {chains} x {draws} draws: {one / ours:.1f} times faster")
+    for draws in (100, 1000):
+        x = rng.standard_normal((4, draws, pixels), dtype=np.float32)
+        for name, (mine, theirs) in MAPS.items():
+            ours, one = (processor_time(3, partial(f, x)) for f in (mine, theirs))
+            print(
+                f"{name}, 4 x {draws} draws: {one / ours:.1f} times faster "
+                f"({1e6 * ours / pixels:.0f} and {1e6 * one / pixels:.0f} us a pixel)"
+            )
+
+
+def convergence_of_a_picture(pixels=200):
+    """Every map at 256x256, 4 chains of 1000 draws: the seconds of each, and peak memory.
+
+    Of arviz-stats the seconds are those of a few pixels, taken as many times.
+    """
+    shape = (4, 1000, 256, 256)
+    x = np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
+    before = peak_memory()
+    for name, (mine, theirs) in MAPS.items():
+        began = time.process_time()
+        mine(x)
+        ours = time.process_time() - began
+        few = x.reshape(4, 1000, -1)[..., :: 256**2 // pixels]
+        began = time.process_time()
+        theirs(few)
+        one = (time.process_time() - began) * 256**2 / few.shape[2]
+        print(f"{name} of 256x256: {ours:.1f} s, by arviz-stats {one:.0f} s, {one / ours:.1f}")
+    print(f"  peak memory {peak_memory():.0f} MiB, of it before the first map {before:.0f}")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 3:
+    if sys.argv[1:] == ["convergence"]:
+        convergence_against_arviz()
+        convergence_of_a_picture()
+    elif len(sys.argv) == 3:
         memory_case(int(sys.argv[1]), bool(int(sys.argv[2])))
     else:
         mala_against_blackjax()
         annealed_step_against_score()
         calibration_against_a_loop()
-        convergence_against_arviz()
+        subprocess.run([sys.executable, __file__, "convergence"], check=True)
         memory()

@@ -1,10 +1,18 @@
 """What a run is worth: independent draws by closed forms, and populations of one family."""
 
+import json
+
 import numpy as np
 import pytest
 
 from posterior import samplers
-from posterior.diagnostics.beside_exact import effective_draws
+from posterior.diagnostics.beside_exact import (
+    Beside,
+    _read,
+    _write,
+    effective_draws,
+    ratio_of_means,
+)
 
 RNG = np.random.default_rng(0)
 
@@ -40,3 +48,26 @@ def test_particles_that_share_ancestors_count_once():
     assert found == pytest.approx(4 * 10, rel=0.15)
     # Of one population it cannot be told.
     assert effective_draws(samplers.TemperedSMC(), values[:, :1]) is None
+
+
+def test_the_error_of_a_ratio_is_how_far_it_comes_out_from_sample_to_sample():
+    """8 pairs whose members resemble each other, as distances from one exact set do."""
+    common, *own = RNG.standard_normal((3, 4000, 8))
+    below = 1 + 0.2 * common + 0.1 * own[0]
+    above = 1.3 + 0.26 * common + 0.15 * own[1]
+    found = np.array([ratio_of_means(a, b) for a, b in zip(above, below)])
+    sd = np.hypot(0.15, 1.3 * 0.1) / np.sqrt(8)
+    # What they have in common cancels; the mean square of the stated error is the variance.
+    assert found[:, 0].std() == pytest.approx(sd, rel=0.05)
+    assert np.sqrt(np.mean(found[:, 1] ** 2)) == pytest.approx(sd, rel=0.05)
+    # Pairs of one ratio have no error.
+    assert ratio_of_means(2 * below[0], below[0]) == (pytest.approx(2), pytest.approx(0, abs=1e-12))
+
+
+def test_figures_without_the_error_of_their_distance_are_computed_anew(tmp_path):
+    _write(tmp_path / "f.json", "guard", Beside(distance=1.0, distance_error=0.1))
+    assert _read(tmp_path / "f.json", "guard").distance_error == 0.1
+    kept = json.loads((tmp_path / "f.json").read_text())
+    del kept["figures"]["distance_error"]
+    (tmp_path / "f.json").write_text(json.dumps(kept))
+    assert _read(tmp_path / "f.json", "guard") is None

@@ -347,6 +347,16 @@ def test_a_run_that_diverges_is_named():
         simulated(4, sampler=diverging)
 
 
+def test_a_pixel_that_is_not_finite_counts_though_no_quantity_reads_it():
+    asked = {"first": lambda x, y: x[0]}
+
+    def sampler(key, posterior):
+        return jnp.zeros((1, 5, 6)).at[0, 2, -1].set(jnp.nan)
+
+    with pytest.raises(NonFiniteError, match="simulation 0: first .* the draw is not finite"):
+        simulated(4, sampler=sampler, asked=asked)
+
+
 def test_simulations_that_were_not_asked_for_decide_nothing():
     """Of a batch of four the fourth diverges: three are three, and four are refused."""
     fourth = jax.random.split(jax.random.fold_in(jax.random.key(0), 3))[1]
@@ -368,6 +378,18 @@ def test_simulations_that_were_not_asked_for_decide_nothing():
         ({"asked": {"odd": lambda x, y: jnp.log(-jnp.sum(x**2))}}, "of the object itself is NaN"),
         ({"asked": {}}, "no quantities"),
         ({"sampler": lambda key, p: jnp.zeros((5, 6))}, r"draws of shape \(5, 6\): give"),
+        ({"sampler": lambda key, p: (jnp.zeros((1, 5, 6)),)}, "gives a tuple: give a JAX array"),
+        ({"sampler": lambda key, p: np.zeros((1, 5, 6))}, "gives a ndarray: .* jax.numpy"),
+        (
+            {
+                "sampler": lambda key, p: jnp.zeros((1, 5, 6), complex),
+                "asked": {"first": lambda x, y: x[0].real},
+            },
+            "gives draws of complex64, the object is float32",
+        ),
+        ({"sampler": lambda key, p: jnp.zeros((1, 5, 6), int)}, "gives draws of int32"),
+        ({"sampler": "mala"}, "sampler 'mala' is a str: give one of posterior.samplers"),
+        ({"sampler": samplers.MALA}, r"sampler is the class MALA: give MALA\(...\)"),
         ({"settings": Settings(thin=0)}, "thin 0: give a whole number, 1 or more"),
         ({"settings": Settings(draws=20.5)}, "draws 20.5: give a whole number"),
         ({"settings": Settings(warmup=-5)}, "warmup -5: give a whole number, 0 or more"),

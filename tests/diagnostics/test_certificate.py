@@ -10,7 +10,8 @@ import pytest
 from posterior import samplers
 from posterior.diagnostics import beside_exact
 from posterior.diagnostics.campaign import Settings
-from posterior.diagnostics.certificate import as_table, certify, settings_of
+from posterior.diagnostics.certificate import Certificate, as_table, certify, settings_of
+from posterior.diagnostics.sbc import Calibration
 from posterior.models.gallery import linear_gaussian, mixture_linear, one_complex_pixel
 
 LINEAR = linear_gaussian(size=8, rows=6)
@@ -28,6 +29,7 @@ def test_exact_draws_pass_at_the_noise_floor():
     assert found.verdict.startswith("passes")
     # Ratios of means over eight recordings: over 16 keys their sd was 12 and 26 %.
     assert abs(found.distance - 1) < 4 * 0.12
+    assert 0.12 / 4 < found.distance_error < 0.12 * 4
     assert abs(np.log(found.mode_error / found.mode_floor)) < 4 * 0.26
 
 
@@ -110,6 +112,31 @@ def test_its_numbers_are_json(table):
     assert plain["exact"]["effective_per_evaluation"] is None
     assert set(plain["exact"]["calibration"]["squared norm"]) == {"p", "draws", "coverage"}
     assert plain["emcee"]["calibration"] is None
+
+
+def test_quantities_that_the_verdict_leaves_out_have_no_say_in_its_figures():
+    """Of the slow one all truths are above all draws, of the others half or fewer."""
+    ranks = np.stack([np.full(50, 0.999), np.linspace(0.015, 0.985, 50)], axis=1)
+    calibration = Calibration(("slow", "right"), ranks, np.array([3.0, 100.0]))
+    found = Certificate(calibration.verdict(), calibration, 1.23, distance_error=0.1)
+    assert found.kind == "cannot be judged" and found.p > 0.5 > calibration.p["slow"]
+    row = as_table({"it": {"a": found}}).splitlines()[2]
+    assert "| 52, 80, 96 | 1.23 \N{PLUS-MINUS SIGN} 0.10 |" in row
+    plain = found.as_dict()
+    assert plain["p"] == found.p and plain["distance_error"] == 0.1
+    assert plain["calibration"]["slow"]["p"] is None
+    nothing = found._replace(calibration=calibration._replace(effective=np.array([3.0, 3.0])))
+    assert nothing.p is None
+    assert as_table({"it": {"a": nothing}}).splitlines()[2].count("|") == row.count("|")
+
+
+def test_what_cannot_be_certified_is_refused_at_once():
+    with pytest.raises(ValueError, match="no problems to certify on: give {name: Known}"):
+        certify(samplers.MALA(), {})
+    with pytest.raises(ValueError, match="problem a is a function: give a models.gallery.Known"):
+        certify(samplers.MALA(), {"a": linear_gaussian})
+    with pytest.raises(ValueError, match=r"sampler is the class MALA: give MALA"):
+        certified(samplers.MALA, LINEAR)
 
 
 def test_settings_of_samplers_whose_draws_are_runs():

@@ -15,7 +15,7 @@ RANKS = np.random.default_rng(0).random((40, 2))
 CALIBRATION = Calibration(("norm", "a < b & c"), RANKS, np.array([30.0, 40.0]), 12.0)
 CERTIFICATES = {
     "<mala>": {
-        "line": Certificate("passes: all", CALIBRATION, 1.234, 0.1, 0.05, 12.0, 60.0, 4004),
+        "line": Certificate("passes: all", CALIBRATION, 1.234, 0.1, 0.05, 12.0, 60.0, 4004, 0.056),
         "ring": Certificate("fails: norm", CALIBRATION, 7.5, seconds=3.0),
     },
     "smc": {
@@ -83,7 +83,7 @@ def test_it_says_every_verdict_and_figure(page):
     ):
         assert said in text
     for figure in (
-        "1.23",
+        "1.23 ± 0.06",
         "0.100",
         "0.050",
         "4,004",
@@ -94,6 +94,20 @@ def test_it_says_every_verdict_and_figure(page):
     share, error = CALIBRATION.coverage(0.8)["norm"]
     assert f"{100 * share:.0f} ± {100 * error:.0f}" in text
     assert f"{min(CALIBRATION.p.values()):.2g}" in text
+
+
+def test_a_quantity_of_too_few_draws_has_no_p():
+    slow = CALIBRATION._replace(effective=np.array([3.0, 40.0]))
+    html = as_page({"mala": {"line": Certificate("cannot be judged", slow)}}, pictures={})
+    assert html.count("too few draws") == 1
+    assert f"{slow.judged_p['a < b & c']:.2g}" in html
+
+
+def test_nothing_to_show_is_refused():
+    for show in (plot_certificates, as_page):
+        for nothing in ({}, {"mala": {}}):
+            with pytest.raises(ValueError, match="no certificates to show: give {sampler:"):
+                show(nothing)
 
 
 def test_given_pictures_are_shown_as_they_are():

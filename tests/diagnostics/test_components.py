@@ -124,11 +124,10 @@ def test_the_pictures_show_every_panel(turn, rows):
     values = turn * two_places()[0]
     components = plot_components(principal_components(values, 3))
     pair = plot_contrast(values, contrast(values))
-    for figure, columns in ((components, 4), (pair, 4)):
-        figure.draw_without_rendering()
-        shown = [axes for axes in figure.axes if axes.images]
-        assert len(shown) == columns * rows
-    titles = [axes.get_title() for axes in pair.axes if axes.images]
+    for panels in (components, pair):
+        panels[0, 0].figure.draw_without_rendering()
+        assert panels.shape == (rows, 4) and all(axes.images for axes in panels.flat)
+    titles = [axes.get_title() for axes in pair[0]]
     assert titles[:3] == ["a draw", "another draw", "difference"]
     assert pyplot.get_fignums() == []
 
@@ -138,8 +137,8 @@ def test_the_pictures_show_every_panel(turn, rows):
     [
         (lambda x: x[0], "give .chains, draws, .shape., 2 or more"),
         (lambda x: x[:1, :1], "2 or more"),
-        (lambda x: np.where(x > 2, np.nan, x), "NaN or infinity"),
-        (lambda x: 0.1 + 0 * x, "do not vary"),
+        (lambda x: np.where(x > 2, np.nan, x), "of 40 draws hold NaN or infinity: .* smaller step"),
+        (lambda x: 0.1 + 0 * x, "the 40 draws do not vary: .* run them longer"),
         (lambda x: x[:1, :3], "4 components of draws that vary in 2 directions: ask for 2"),
     ],
 )
@@ -155,3 +154,7 @@ def test_bad_settings_are_refused():
         contrast(gaussian(40)[0], 1)
     with pytest.raises(ValueError, match="only pictures"):
         plot_components(principal_components(gaussian(40)[0], 2))
+    values = two_places()[0]
+    for other in (values[0], values[:, :3], values[..., 1:]):
+        with pytest.raises(ValueError, match="give the draws .* that the contrast is of"):
+            plot_contrast(other, contrast(values))

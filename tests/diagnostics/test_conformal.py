@@ -68,13 +68,28 @@ def test_what_it_counts_is_what_lies_outside():
         ({"confidence": 0.0}, "confidence 0.0"),
         ({"still": True}, "do not vary"),
         ({"cut": True}, "for truths of"),
-        ({"lost": True}, "draws hold NaN"),
+        ({"lost": True}, "1 of 25600 values of the draws are not finite"),
+        ({"few": True}, "18 draws for an interval at 90 %: give 19"),
     ],
 )
 def test_bad_input_is_refused(change, message):
     draws, truths = images(np.random.default_rng(0), change.pop("n", 40), 1.0)
     draws = 0 * draws if change.pop("still", False) else draws
     draws = draws[:-1] if change.pop("cut", False) else draws
+    draws = draws[:, :18] if change.pop("few", False) else draws
     draws[0, 0, 0] = np.nan if change.pop("lost", False) else draws[0, 0, 0]
     with pytest.raises(ValueError, match=message):
         repair_intervals(draws, truths, **change)
+
+
+@pytest.mark.parametrize(
+    "draws, message",
+    [
+        (np.zeros((2, 4, 3)), "8 draws for an interval at 80 %: give 9"),
+        (np.full((2, 5, 3), np.inf), "30 of 30 values"),
+        (np.zeros((2, 5, 3)) + 1j, "complex draws"),
+    ],
+)
+def test_draws_that_cannot_be_widened_are_refused(draws, message):
+    with pytest.raises(ValueError, match=message):
+        widened(draws, Repair(2.0, 0.8, 0.2, 0.9, 50, 0.3, 0.1))

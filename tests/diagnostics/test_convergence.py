@@ -61,13 +61,20 @@ def test_a_pixel_that_does_not_vary_has_no_number():
         (lambda x: x[:1], "one chain"),
         (lambda x: x[:, :3], "4 draws or more"),
         (lambda x: x + 1j, "complex draws"),
-        (lambda x: np.where(x > 2, np.nan, x), "NaN or infinity"),
+        (lambda x: np.where(x > 2, np.nan, x), "of 4000 values of the draws are not finite"),
         (lambda x: 0 * x, "do not vary"),
     ],
 )
 def test_bad_draws_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         rhat(change(autoregressive(2, 50)))
+
+
+def test_the_sd_of_two_values_as_often_each_has_no_error():
+    """Their squares are all the same: rounding must not take the root of less than nothing."""
+    x = 0.1 + np.random.default_rng(0).permuted(np.tile([-0.3, 0.3], (2, 25, 40)), axis=1)
+    x = np.concatenate([x, 0.2 - x], axis=1).reshape(2, -1, 40)
+    assert np.all(mcse(x, "sd") < 1e-8)
 
 
 def test_unknown_methods_are_refused():

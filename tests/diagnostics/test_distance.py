@@ -309,54 +309,84 @@ FAULTS = {
     "a lost mode, 3 sd away": (NEAR, NEAR.drawer(lost=True)),
     "a lost mode, 8 sd away": (FAR, FAR.drawer(lost=True)),
 }
-NULL, REPEATS = 39, 20
+SIZES, NULL, REPEATS = (50, 100, 200, 400, 800, 1600), 39, 40
 
 
-def table_row(case, drawers, size, rng):
-    """Share of the repetitions of each drawer that each distance catches at 5 %."""
+def distances_of(case, rng):
+    """Each distance, a function of a drawer and of a number of draws, at one recording."""
     posterior = case.problem.condition(case.problem.simulate(jax.random.key(0))[1])
     exact, score = case.drawer(), jax.jit(lambda x: posterior.score(x))
     keys = iter(range(10**6))
 
-    @partial(jax.jit, static_argnums=0)
-    def several(draw, key):
+    @partial(jax.jit, static_argnums=(0, 1))
+    def several(draw, size, key):
         parts = jax.vmap(lambda k: draw(k, posterior)[0])(jax.random.split(key, size // DRAWS))
         return parts.reshape(size, -1)
 
-    def taken(draw):
-        return np.asarray(several(draw, jax.random.key(next(keys))))
+    def taken(draw, size):
+        return np.asarray(several(draw, size, jax.random.key(next(keys))))
 
-    distances = {
-        "sliced Wasserstein": lambda draw: sliced_wasserstein(taken(draw), taken(exact), rng),
-        "MMD": lambda draw: mmd(taken(draw), taken(exact), rng),
-        "C2ST": lambda draw: c2st(taken(draw), taken(exact), rng),
-        "KSD": lambda draw: ksd(taken(draw), score, rng),
+    def beside_exact(distance):
+        return lambda draw, size: distance(taken(draw, size), taken(exact, size), rng)
+
+    return {
+        "sliced Wasserstein": beside_exact(sliced_wasserstein),
+        "MMD": beside_exact(mmd),
+        "C2ST": beside_exact(c2st),
+        "KSD": lambda draw, size: ksd(taken(draw, size), score, rng),
     }
-    caught = {fault: {} for fault in drawers}
-    for name, distance in distances.items():
-        # Above all but the largest of 39 values of exact sets: p is 2 / 40 at most.
-        limit = np.sort([distance(exact) for _ in range(NULL)])[-2]
-        for fault, drawer in drawers.items():
-            found = np.array([distance(drawer) for _ in range(REPEATS)])
-            caught[fault][name] = float(np.mean(found > limit))
-    return caught
+
+
+def always_above(limit, distance, draw, size):
+    """Whether 95 % of the repetitions are above the limit; no more are made than it takes."""
+    missed = 0
+    for _ in range(REPEATS):
+        missed += distance(draw, size) <= limit
+        if missed > REPEATS // 20:
+            return False
+    return True
+
+
+def smallest_sizes(case, rng):
+    """{fault: {distance: smallest size}} of the faults of a case, without those never caught."""
+    exact = case.drawer()
+    found = {fault: {} for fault, (known, _) in FAULTS.items() if known is case}
+    for name, distance in distances_of(case, rng).items():
+        for size in SIZES:
+            left = [fault for fault in found if name not in found[fault]]
+            if not left:
+                break
+            # Above all but the largest of 39 values of exact sets: p is 2 / 40 at most.
+            limit = np.sort([distance(exact, size) for _ in range(NULL)])[-2]
+            for fault in left:
+                if always_above(limit, distance, FAULTS[fault][1], size):
+                    found[fault][name] = size
+    return found
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [50, 200, 800])
-def test_which_fault_is_seen_by_which_distance(size, rng):
-    """At 200 draws, all but the small faults, and what KSD is said not to see."""
-    caught = {}
+def test_the_smallest_number_of_draws_at_which_each_fault_is_seen_by_each_distance(rng):
+    """Printed as Markdown: caught at 5 % in 38 of 40 repetitions or more; a dash: never."""
+    names = ("sliced Wasserstein", "MMD", "C2ST", "KSD")
+    found = {}
     for case in (CASE, NEAR, FAR):
-        drawers = {fault: draw for fault, (known, draw) in FAULTS.items() if known is case}
-        caught |= table_row(case, drawers, size, rng)
-    for fault, shares in caught.items():
-        print(f"\n{fault}, {size} draws: caught", shares)
-    lost = ("a lost mode, 3 sd away", "a lost mode, 8 sd away")
-    assert min(caught["another recording"].values()) > 0.8
-    assert max(caught[fault]["KSD"] for fault in lost) < 0.3
-    if size >= 200:
-        spread = ("temperature 50 % too high", "Langevin noise without sqrt 2")
-        by_reference = ("sliced Wasserstein", "MMD", "C2ST")
-        assert all(caught[f][name] > 0.8 for f in lost + spread for name in by_reference)
-        assert caught["right marginals, no correlations"]["C2ST"] > 0.8
+        found |= smallest_sizes(case, rng)
+    print("\n| fault | " + " | ".join(names) + " |\n" + "|---" * 5 + "|")
+    for fault in FAULTS:
+        print("| " + " | ".join([fault, *(str(found[fault].get(n, "-")) for n in names)]) + " |")
+    assert not found.pop("none")
+    assert all(found.values())
+    assert set(found["another recording"]) == set(names)
+    by_reference = {"sliced Wasserstein", "MMD", "C2ST"}
+    for fault in (
+        "a lost mode, 3 sd away",
+        "a lost mode, 8 sd away",
+        "temperature 50 % too high",
+        "Langevin noise without sqrt 2",
+    ):
+        assert max(found[fault].get(name, np.inf) for name in by_reference) <= 400
+    assert found["right marginals, no correlations"]["C2ST"] <= 400
+    # The score is right in each mode and does not tell how much lies there; between modes 3 sd
+    # apart there are draws whose score does, a little.
+    assert "KSD" not in found["a lost mode, 8 sd away"]
+    assert found["a lost mode, 3 sd away"].get("KSD", np.inf) > 800

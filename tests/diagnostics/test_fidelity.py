@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 import scoringrules
 
 from posterior.diagnostics import (
@@ -16,6 +17,7 @@ from posterior.diagnostics import (
 
 RNG = np.random.default_rng(0)
 TRUTH = RNG.random((16, 12))
+LOST = np.where(TRUTH[0, 0] == TRUTH, np.nan, TRUTH)
 
 
 def test_psnr_and_nrmse_of_a_known_error():
@@ -51,6 +53,23 @@ def test_ssim_is_one_for_equals_and_falls_with_noise():
     assert 1 > ssim(noisy[0], TRUTH) > ssim(noisy[1], TRUTH)
     colour = np.stack([TRUTH] * 3, axis=-1)
     assert ssim(colour, colour) == 1
+
+
+def test_ssim_is_the_published_formula():
+    """Weights of 11 x 11 at every place that holds them whole, written out."""
+    weights = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    weights = np.outer(weights, weights) / weights.sum() ** 2
+
+    def mean(x):
+        return scipy.signal.convolve2d(x, weights, "valid")
+
+    x, y = TRUTH, TRUTH + 0.2 * RNG.standard_normal(TRUTH.shape)
+    peak = 2.0
+    c1, c2 = (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    mx, my = mean(x), mean(y)
+    vx, vy, both = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
+    alike = (2 * mx * my + c1) * (2 * both + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+    assert ssim(y, x, peak) == pytest.approx(alike.mean(), rel=1e-9)
 
 
 def test_crps_is_that_of_the_normal_distribution():
@@ -100,12 +119,32 @@ def test_frechet_distance_of_normal_sets():
     "call, message",
     [
         (lambda: psnr(TRUTH, TRUTH.T), "give one size"),
+        (lambda: psnr(TRUTH[:0], TRUTH[:0]), "give one size"),
+        (lambda: psnr(TRUTH + 0j, TRUTH), "complex128 beside a truth of float64"),
+        (lambda: nrmse(TRUTH, TRUTH + 0j), "float64 beside a truth of complex128"),
+        (lambda: psnr(LOST, TRUTH), "1 of 192 values of the object found"),
+        (lambda: nrmse(TRUTH, LOST), "1 of 192 values of the truth"),
+        (lambda: ssim(LOST, TRUTH), "1 of 192 values"),
+        (lambda: phase_psnr(LOST + 0j, TRUTH + 0j), "1 of 192 values"),
+        (lambda: psnr(TRUTH, TRUTH, 0), "peak 0: give the range"),
+        (lambda: ssim(TRUTH, TRUTH, -1.0), "peak -1.0"),
+        (lambda: nrmse(TRUTH, 0 * TRUTH), "the truth is 0 everywhere"),
+        (lambda: phase_psnr(TRUTH + 0j, 0j * TRUTH), "the truth is 0 everywhere"),
+        (lambda: phase_psnr(0j * TRUTH, TRUTH + 0j), "the object found is 0 everywhere"),
+        (lambda: ssim(TRUTH[:10], TRUTH[:10]), "h and w 11 or more"),
+        (lambda: ssim(TRUTH[0], TRUTH[0]), "h and w 11 or more"),
         (lambda: phase_psnr(TRUTH, TRUTH), "no phase"),
         (lambda: ssim(TRUTH + 0j, TRUTH), "real pictures"),
         (lambda: crps(TRUTH[None], TRUTH), "2 draws or more"),
         (lambda: crps(TRUTH, TRUTH), "2 draws or more"),
         (lambda: crps(np.stack([TRUTH + 0j] * 3), TRUTH), "complex draws"),
+        (lambda: crps(np.stack([TRUTH, LOST]), TRUTH), "1 of 384 values of the draws"),
+        (lambda: crps(np.stack([TRUTH, TRUTH]), LOST), "1 of 192 values of the truth"),
+        (lambda: energy_score(np.stack([TRUTH, LOST]), TRUTH), "1 of 384 values of the draws"),
+        (lambda: energy_score(np.stack([TRUTH, TRUTH]) + 0j, TRUTH), "complex128 beside"),
         (lambda: frechet_distance(TRUTH, TRUTH.T), "give .n, d."),
+        (lambda: frechet_distance(TRUTH, TRUTH + 0j), "complex others"),
+        (lambda: frechet_distance(TRUTH, LOST), "1 of 192 values of the features"),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from scipy.stats import kstest
+from scipy.stats import binom, kstest
 
 from posterior import models
 from posterior.diagnostics import (
@@ -92,6 +92,17 @@ def test_exact_draws_are_at_the_floor():
     assert abs(over.mean()) < 4 * over.std(ddof=1) / np.sqrt(len(over))
 
 
+@pytest.mark.slow
+def test_false_alarms_of_pictures_are_as_many_as_stated():
+    """400 studies of 6 pictures and 4 draws: p < 5 % within the binomial interval of 99 %."""
+    rng = np.random.default_rng(9)
+    studies = (wiener(rng, 6, 4)[:2] for _ in range(400))
+    alarms = sum(frechet_from_truths(*study, rng).p < 0.05 for study in studies)
+    low, high = binom(400, 0.05).interval(0.99)
+    print(f"{alarms} of 400 alarms at 5 %, {low:g} to {high:g} are allowed")
+    assert low <= alarms <= high
+
+
 @pytest.mark.parametrize("fault", ["mean", "blurred", "noisy"])
 def test_faults_are_caught_at_eight_pictures(fault):
     """Posterior means, which are too smooth; draws a little blurred; draws with noise added."""
@@ -149,6 +160,17 @@ def test_bad_input_is_refused_in_a_sentence():
         haar_bands(x[:, :4])
     with pytest.raises(ValueError, match="no halves"):
         frechet_of_halves(x[:1], rng)
+    with pytest.raises(ValueError, match="0 everywhere: their features have no sd"):
+        frechet_from_truths(x, x[:, None], rng)
+    with pytest.raises(ValueError, match="0 everywhere"):
+        frechet_of_halves(x, rng)
+    for wrong, message in ((x + 1j, "complex pictures"), (x + np.nan, "768 of 768 values")):
+        with pytest.raises(ValueError, match=message):
+            haar_bands(wrong)
+        with pytest.raises(ValueError, match=message):
+            frechet_of_halves(wrong, rng)
+        with pytest.raises(ValueError, match=message):
+            frechet_from_truths(x + rng.random(x.shape), wrong[:, None], rng)
     complex_prior = models.ScorePrior.load("complex-cells", (SIDE, SIDE))
     with pytest.raises(ValueError, match="complex objects: use the Haar bands"):
         bottleneck_features(complex_prior)

@@ -158,6 +158,64 @@ def test_exact_moves_fail_at_the_nominal_rate():
     assert all(low <= count <= high for count in rates.values())
 
 
+def white(i):
+    """The i-th of the object's components that are independent and standard normal a priori."""
+    row = jnp.asarray(np.linalg.inv(np.linalg.cholesky(CASE.prior))[i])
+    return lambda x, y: row @ x
+
+
+@pytest.mark.slow
+def test_the_verdict_on_independent_quantities_fails_at_the_nominal_rate():
+    """Holm's correction is then exact but for 0.1 %: neither more nor fewer than 5 % fail."""
+    asked = {f"component {i}": white(i) for i in range(8)}
+    found = [
+        joint_test(Exact(), key, chains=100, transitions=5, quantities=asked) for key in range(400)
+    ]
+    false_alarms = sum(test.verdict().startswith("fails") for test in found)
+    print(f"\n{false_alarms} of 400 fail")
+    least, most = scipy.stats.binom(400, 1 - (1 - 0.05 / 8) ** 8).interval(0.99)
+    assert least <= false_alarms <= most
+
+
+MIXTURE = MixtureCase()
+
+
+def in_one_mode(key, posterior, x):
+    return MIXTURE.drawer(lost=True)(key, posterior)[0, 0].astype(x.dtype)
+
+
+def of_the_prior(key, posterior, x):
+    return posterior.prior.sample(key)
+
+
+POWER = {
+    "noise level 10 % too high": (CASE.problem, Exact(noise=1.1)),
+    "temperature 10 % too high": (CASE.problem, Exact(temperature=1.1)),
+    "MALA without sqrt 2": (CASE.problem, Langevin(noise=np.sqrt(0.5))),
+    "ULA without sqrt 2": (CASE.problem, Langevin(0.005, np.sqrt(0.5), metropolis=0.0)),
+    "ULA with a large step": (CASE.problem, Langevin(0.045, metropolis=0.0)),
+    "the prior": (CASE.problem, of_the_prior),
+    "a lost mode": (MIXTURE.problem, in_one_mode),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", POWER)
+def test_each_fault_is_caught_in_95_of_100_repetitions(fault):
+    """Of 40, at 5 % over all quantities; the number of chains is printed."""
+    problem, kernel = POWER[fault]
+    asked = default_quantities(problem)
+    for chains in (50, 100, 200, 400, 800):
+        found = [
+            joint_test(kernel, key, problem, chains=chains, quantities=asked) for key in range(40)
+        ]
+        caught = np.mean([test.verdict().startswith("fails") for test in found])
+        print(f"\n{fault}: caught in {100 * caught:.0f} % of repetitions at {chains} chains")
+        if caught >= 0.95:
+            return
+    pytest.fail(f"{fault} is caught in {100 * caught:.0f} % only")
+
+
 @pytest.mark.slow
 def test_a_lost_mode_is_caught():
     case = MixtureCase()
@@ -192,5 +250,10 @@ def test_what_is_no_move_of_one_object_is_refused():
         joint_test(samplers.Ensemble(walkers=32), **settings)
     with pytest.raises(ValueError, match="the kernel gives float32 .4,.: give an object"):
         joint_test(lambda key, posterior, x: x[:4], **settings)
+    with pytest.raises(ValueError, match="the kernel gives a tuple: give an object"):
+        joint_test(lambda key, posterior, x: (x, x), **settings)
+    for wrong, message in (("mala", "'mala' is a str"), (samplers.MALA, "the class MALA: give")):
+        with pytest.raises(ValueError, match=message):
+            joint_test(wrong, **settings)
     with pytest.raises(ps.sampling.NonFiniteError, match="first is NaN in 20 of 20 chains"):
         joint_test(lambda key, posterior, x: x * jnp.nan, **settings)

@@ -56,6 +56,16 @@ def test_copies_are_no_modes(rng):
     assert len(modes(np.ones((2, 5, 8, 8))).weights) == 1
 
 
-def test_two_draws_are_refused():
-    with pytest.raises(ValueError, match="1 x 2 draws"):
-        modes(np.zeros((1, 2, 8)))
+@pytest.mark.parametrize(
+    "values, gap, message",
+    [
+        (np.zeros((1, 2, 8)), 2.0, "1 x 2 draws"),
+        (np.zeros((0, 5, 8)), 2.0, "0 x 5 draws"),
+        (np.zeros(5), 2.0, r"draws of shape \(5,\)"),
+        (np.full((1, 5, 8), np.nan), 2.0, "40 of 40 values"),
+        (np.zeros((1, 5, 8)), 0.0, "gap 0.0"),
+    ],
+)
+def test_bad_input_is_refused(values, gap, message):
+    with pytest.raises(ValueError, match=message):
+        modes(values, gap)

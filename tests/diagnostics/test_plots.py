@@ -19,8 +19,8 @@ def _field_draws(count=40):
     return (FIELD + 0.02 * noise) * turn
 
 
-def _titles(figure):
-    return [axes.get_title() for axes in figure.axes if axes.images]
+def _titles(panels):
+    return [axes.get_title() for axes in panels]
 
 
 def _real(truth=TRUTH, path=None, **kwargs):
@@ -59,19 +59,27 @@ def test_complex_panels():
 
 
 def test_pictures_of_one_kind_share_a_scale():
-    panels = {axes.get_title(): axes.images[0] for axes in _real(data_is_object=True).axes[:8]}
+    panels = {axes.get_title(): axes.images[0] for axes in _real(data_is_object=True)}
     shared = ("truth", "recording", "posterior mean", "a draw", "another draw")
     assert len({id(panels[name].norm) for name in shared}) == 1
     assert panels["error of the mean"].norm is panels["standard deviation"].norm
 
 
 def test_titles_and_panels_do_not_overlap():
-    for figure in (_real(title="a headline"), _complex(), _real(None), _complex(None)):
+    for panels in (_real(title="a headline"), _complex(), _real(None), _complex(None)):
+        figure = panels[0].figure
         figure.draw_without_rendering()
-        boxes = [axes.get_tightbbox() for axes in figure.axes if axes.images]
+        boxes = [axes.get_tightbbox() for axes in panels]
         for i, a in enumerate(boxes):
             assert figure.bbox.count_contains([(a.x0, a.y0), (a.x1, a.y1)]) == 2
             assert not any(a.overlaps(b) for b in boxes[i + 1 :])
+
+
+def test_what_is_no_run_is_refused():
+    mean = DRAWS.mean(axis=(0, 1))
+    for draws in ([TRUTH], [TRUTH, TRUTH[1:]]):
+        with pytest.raises(ValueError, match=r"beside a mean of \(12, 16\): give two draws"):
+            overview(None, TRUTH, TRUTH, draws, mean, mean, mean)
 
 
 def test_the_file_is_written_and_no_global_state_is_touched(tmp_path):

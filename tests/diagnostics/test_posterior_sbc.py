@@ -105,6 +105,23 @@ def test_a_fault_of_the_second_run_is_caught(fault):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "fault",
+    [{"temperature": 1.1}, {"noise": 1.1}, {"prior": 1.5}, {"exposures": 1}, {"exposures": 0}],
+    ids=str,
+)
+def test_each_fault_of_the_second_run_is_caught_in_95_of_100_repetitions(fault):
+    """Of 20 or more; the last believe a single exposure, and none. The number is printed."""
+    found = calibrated(CASE, 16000, batch=100, second=fault)
+    for size in (25, 50, 100, 200, 400, 800):
+        caught = alarms(found.ranks, size) / (16000 // size)
+        print(f"\n{fault}: caught in {100 * caught:.0f} % of repetitions at {size} simulations")
+        if caught >= 0.95:
+            return
+    pytest.fail(f"{fault} is caught in {100 * caught:.0f} % only")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [{"temperature": 1.1}, {"noise": 1.1}], ids=str)
 def test_a_fault_of_both_runs_cancels_in_part(fault):
     """What is left of it is seen by the likelihood, in fewer calibrations of 100 simulations."""
@@ -186,6 +203,7 @@ def test_first_draws_that_are_none_are_refused():
         (first[:, :7], r"first draws of shape \(20, 7\): give \(n, \*\(8,\)\)"),
         (first + 0j, "first draws are complex128, the object is float"),
         (first * np.nan, "first draws hold NaN"),
+        (first[:1].repeat(20, axis=0), "all 20 first draws are the same"),
     ):
         with pytest.raises(ValueError, match=message):
             posterior_sbc(SMALL.given, wrong, *run, 20)

@@ -93,12 +93,14 @@ def test_the_printed_equation_is_caught_and_the_consistent_one_is_closer():
     known, run = one_complex_pixel(), {"chains": 40, "draws": 1}
     problem = ps.Problem(known.likelihood, known.prior)
     settings = {"levels": 200, "steps": 5, "path": "split"}
-    distances = {}
+    distances, shares = {}, {}
     for name, published in (("consistent", False), ("printed", True)):
         sampler = samplers.AnnealedLangevin(**settings, published=published)
         found, p_values = pooled(problem, sampler, 800, **run)
         caught = {size: rejections(p_values(size)).mean() for size in SIZES[:4]}
+        shares[name] = max(caught.values())
         distances[name] = max(scipy.stats.kstest(u, "uniform").statistic for u in found.ranks.T)
         print(f"\n{name}: caught at {smallest(caught)}; {found.verdict()}")
     print({name: round(float(value), 3) for name, value in distances.items()})
+    assert shares["printed"] >= 0.95
     assert distances["printed"] > 2 * distances["consistent"]

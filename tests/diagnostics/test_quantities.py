@@ -3,11 +3,19 @@
 import jax
 import numpy as np
 import pytest
+import scipy.stats
 from analytic import wiener
 
 import posterior as ps
 from posterior import models
-from posterior.diagnostics.quantities import HaarEnergy, PatchMean, default_quantities
+from posterior.diagnostics import sbc, uniformity
+from posterior.diagnostics.quantities import (
+    DistanceToAmplitudes,
+    HaarEnergy,
+    PatchMean,
+    default_quantities,
+)
+from posterior.models.gallery import two_pixel_retrieval
 from posterior.models.priors import ScorePrior
 
 SHAPES = [(8,), (8, 6), (9, 8, 3)]
@@ -76,6 +84,69 @@ def test_a_real_object_behind_complex_optics_has_a_real_estimate(x64):
     back = matrix.conj().T @ y
     scale = np.vdot(matrix @ back, y).real / np.linalg.norm(matrix @ back) ** 2
     assert float(found) == pytest.approx(np.sum((np.asarray(x) - (scale * back).real) ** 2))
+
+
+def test_amplitudes_are_compared_with_those_recorded(x64):
+    """In plain NumPy; whatever the phase, and where read noise has made darkness negative."""
+    optics = models.Fourier((4,), oversampling=2)
+    likelihood = models.IntensityLikelihood(optics, models.Poisson(100), 0.5)
+    x = jax.random.normal(jax.random.key(0), (4,)) + 0.3j
+    y = np.linspace(-0.1, 1.0, 8)
+    field = np.stack([optics(row) for row in np.eye(4)], axis=1) @ np.asarray(x)
+    expected = np.sum((np.sqrt(0.5) * np.abs(field) - np.sqrt(np.maximum(y, 0))) ** 2)
+    f = DistanceToAmplitudes(likelihood)
+    assert float(f(x, y)) == pytest.approx(expected)
+    assert float(f(x * np.exp(1j), y)) == pytest.approx(expected)
+    with pytest.raises(ValueError, match="records a field, not its intensity"):
+        DistanceToAmplitudes(denoising((4,)).likelihood)
+
+
+@pytest.fixture(scope="module")
+def retrieval():
+    """Phase retrieval of two pixels, and its exact draws by importance."""
+    known = two_pixel_retrieval(proposals=1000)
+    return known, ps.Problem(known.likelihood, known.prior)
+
+
+def ranks_in_amplitudes(retrieval, drawer, count):
+    known, problem = retrieval
+    asked = {"amplitudes": DistanceToAmplitudes(known.likelihood)}
+    found = sbc(
+        problem, drawer, jax.random.key(0), count, quantities=asked, batch=100, progress=False
+    )
+    return found.ranks[:, 0]
+
+
+@pytest.mark.slow
+def test_exact_draws_fail_in_amplitudes_at_the_nominal_rate(retrieval):
+    """400 calibrations of 20 simulations each."""
+
+    def exact(key, posterior):
+        return retrieval[0].exact(key, posterior.y, 20)[None]
+
+    ranks = ranks_in_amplitudes(retrieval, exact, 400 * 20).reshape(400, 20)
+    alarms = sum(uniformity(u) < 0.05 for u in ranks)
+    print(f"\n{alarms} of 400 fail")
+    least, most = scipy.stats.binom(400, 0.05).interval(0.99)
+    assert least <= alarms <= most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["the prior", "another recording"])
+def test_amplitudes_catch_draws_that_forget_their_recording(fault, retrieval):
+    """In 95 % of 40 repetitions of 50 simulations."""
+    known, problem = retrieval
+
+    def drawer(key, posterior):
+        key, other = jax.random.split(key)
+        if fault == "the prior":
+            return jax.vmap(posterior.prior.sample)(jax.random.split(key, 20))[None]
+        return known.exact(key, problem.simulate(other)[1], 20)[None]
+
+    ranks = ranks_in_amplitudes(retrieval, drawer, 40 * 50).reshape(40, 50)
+    caught = np.mean([uniformity(u) < 0.05 for u in ranks])
+    print(f"\n{fault}: caught in {100 * caught:.0f} % of repetitions at 50 simulations")
+    assert caught >= 0.95
 
 
 def test_small_objects_have_what_is_there():

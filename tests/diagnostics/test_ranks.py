@@ -73,13 +73,25 @@ def test_chains_that_stand_still_count_as_one_draw():
 @pytest.mark.parametrize(
     "truths, draws, message",
     [
-        (np.zeros(3), np.zeros((3, 0)), "no draw is left"),
+        (np.zeros(3), np.zeros((3, 0)), "0 draws of each truth"),
+        (np.zeros((3, 0)), np.zeros((3, 5, 0)), "for truths of"),
         (np.zeros(3), np.zeros((4, 5)), r"draws of shape \(4, 5\) for truths of \(3,\)"),
         (np.zeros(3), np.zeros((3, 5, 2)), "for truths of"),
         (np.zeros(3) + 1j, np.zeros((3, 5)), "complex"),
-        (np.zeros(3), np.full((3, 5), np.nan), "draws hold NaN"),
+        (np.zeros(3), np.full((3, 5), np.nan), "15 of 15 values of the draws"),
+        (np.array([0, np.inf, 0]), np.zeros((3, 5)), "1 of 3 values of the truths"),
     ],
 )
 def test_bad_ranks_are_refused(truths, draws, message):
     with pytest.raises(ValueError, match=message):
         randomised_ranks(truths, draws, np.random.default_rng(0))
+
+
+def test_what_cannot_be_thinned_or_kept_is_refused():
+    with pytest.raises(ValueError, match="give .n, chains, draws"):
+        thinned(np.zeros((3, 5)))
+    rng, truths, draws = np.random.default_rng(0), np.zeros(3), np.zeros((3, 5))
+    with pytest.raises(ValueError, match=r"kept of shape \(5,\)"):
+        randomised_ranks(truths, draws, rng, np.ones(5, bool))
+    with pytest.raises(ValueError, match="no draw is left"):
+        randomised_ranks(truths, draws, rng, np.zeros((3, 5), bool))

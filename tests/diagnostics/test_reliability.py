@@ -57,7 +57,21 @@ def test_one_bin_is_spread_over_error():
     np.testing.assert_allclose(turned.ratio, reliability(draws, truths, bins=3).ratio, rtol=1e-12)
 
 
-@pytest.mark.parametrize("draws, bins", [(3, 4), (5, 100)])
-def test_too_few_of_either_are_refused(draws, bins):
-    with pytest.raises(ValueError, match="4 draws or more"):
-        reliability(np.ones((2, draws, 4)), np.ones((2, 4)), bins)
+DRAWS, TRUTHS = np.random.default_rng(1).random((2, 5, 4)), np.zeros((2, 4))
+
+
+@pytest.mark.parametrize(
+    "draws, truths, bins, message",
+    [
+        (DRAWS[:, :3], TRUTHS, 4, "3 draws of each truth: give 4"),
+        (DRAWS, TRUTHS, 9, "9 bins: give a whole number, 1 to the 8 pixels"),
+        (DRAWS, TRUTHS, 1.5, "1.5 bins"),
+        (DRAWS, TRUTHS[0], 4, "for truths of"),
+        (DRAWS + 1j, TRUTHS, 4, "complex128 beside truths of float64"),
+        (np.where(DRAWS[0, 0, 0] == DRAWS, np.nan, DRAWS), TRUTHS, 4, "1 of 40 values"),
+        (np.ones((2, 5, 4)), TRUTHS, 4, "the 5 draws do not vary"),
+    ],
+)
+def test_bad_input_is_refused(draws, truths, bins, message):
+    with pytest.raises(ValueError, match=message):
+        reliability(draws, truths, bins)

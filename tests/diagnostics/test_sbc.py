@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from faults import GaussianCase, MixtureCase
 from matplotlib.figure import Figure
 
@@ -12,6 +13,11 @@ from posterior.diagnostics import Calibration, plot_ranks, sbc
 
 CASE = GaussianCase()
 EXACT = CASE.drawer()
+DENSITY = {
+    "log-posterior": lambda x, y: (
+        CASE.problem.likelihood.log_prob(x, y) + CASE.problem.prior.log_prob(x)
+    )
+}
 # The rest of them, and the smallest number of simulations, are in test_power.py.
 FAULTS = {
     "temperature 10 % too high": (CASE.drawer(temperature=1.1), 400),
@@ -32,6 +38,8 @@ def test_exact_draws_pass(case):
     for level in (0.5, 0.8, 0.95):
         shares, errors = np.array(list(found.coverage(level).values())).T
         assert np.all(np.abs(shares - level) < 4 * errors)
+        share, error = found.hpd_coverage(level)
+        assert abs(share - level) < 4 * error
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -93,6 +101,48 @@ def test_coverage_follows_the_ranks():
     assert shares == {"f": (pytest.approx(0.8), pytest.approx(0.04))}
     with pytest.raises(ValueError, match="level 0"):
         Calibration(("f",), ranks, np.array([50.0])).coverage(0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("temperature, sign", [(0.8, -1), (1.25, 1)])
+def test_regions_of_draws_too_narrow_hold_too_few_truths(temperature, sign):
+    """By the chi-square law of the density of a Gaussian with that temperature, 50 draws of it."""
+    drawer = CASE.drawer(temperature=temperature)
+    share, error = calibrated(CASE, drawer, 400, quantities=DENSITY).hpd_coverage(0.8)
+    # Of 64 degrees of freedom: the truth's squared radius, in units of the draws'.
+    radius = scipy.stats.chi2(CASE.size)
+    expected = radius.cdf(temperature * radius.ppf(0.8))
+    # Of a limit that 50 draws set: its own spread moves the share by its curvature, not more.
+    assert abs(share - expected) < 4 * error + 0.02
+    assert sign * (share - 0.8) > 6 * error
+
+
+def test_the_region_is_one_sided_in_the_log_posterior():
+    ranks = np.stack([np.linspace(0.005, 0.995, 100), np.full(100, 0.35)], axis=1)
+    found = Calibration(("norm", "log-posterior"), ranks, np.array([50.0, 50.0]))
+    assert found.hpd_coverage(0.7) == (1.0, pytest.approx(np.sqrt(0.21 / 100)))
+    assert found.hpd_coverage(0.6)[0] == 0.0
+    with pytest.raises(ValueError, match="level 1: it must lie between 0 and 1"):
+        found.hpd_coverage(1)
+    with pytest.raises(ValueError, match="no log-posterior among the quantities"):
+        found._replace(names=("norm", "other")).hpd_coverage(0.5)
+
+
+def test_quantities_of_too_few_draws_have_no_say():
+    ranks = np.stack([np.full(50, 0.999), np.linspace(0.01, 0.99, 50)], axis=1)
+    found = Calibration(("slow", "right"), ranks, np.array([3.0, 100.0]))
+    assert list(found.judged_p) == ["right"] and found.judged_p["right"] > 0.5
+    assert found.p["slow"] < 1e-6
+    labels = {t.get_text() for t in plot_ranks(found).get_legend().get_texts()}
+    assert labels == {"slow, too few draws", f"right, p = {found.judged_p['right']:.2g}"}
+
+
+def test_what_can_rank_nothing_is_refused():
+    small, asked = GaussianCase(2, 2), {"f": lambda x, y: 0 * x[0]}
+    with pytest.raises(ValueError, match="in all 20 simulations every draw is as its object in f:"):
+        calibrated(small, lambda key, p: jnp.zeros((1, 1, 2)), 20, quantities=asked)
+    with pytest.raises(ValueError, match="problem is a Posterior: give a Problem"):
+        sbc(small.problem.condition(np.zeros(2)), EXACT, jax.random.key(0), 20)
 
 
 def test_same_key_same_ranks():

@@ -81,14 +81,26 @@ def test_holm_in_its_textbook_steps():
 
 @pytest.mark.parametrize(
     "u, message",
-    [([], "one or more"), ([[0.5]], "give .n,."), ([0.5, 1.5], "0 to 1"), ([np.nan], "0 to 1")],
+    [
+        ([], "one or more"),
+        ([[0.5]], "give .n,."),
+        ([0.5, 1.5], "0 to 1"),
+        ([np.nan], "0 to 1"),
+        ([0.5 + 0j], "ranks are complex128: give real"),
+    ],
 )
 def test_bad_ranks_are_refused(u, message):
     with pytest.raises(ValueError, match=message):
         uniformity(np.array(u))
 
 
-@pytest.mark.parametrize("n, level", [(0, 0.9), (10, 1.0)])
+@pytest.mark.parametrize("n, level", [(0, 0.9), (10, 1.0), (2.5, 0.9)])
 def test_bad_bands_are_refused(n, level):
     with pytest.raises(ValueError, match="give n of 1 or more"):
         bands(n, level)
+
+
+@pytest.mark.parametrize("p", [2.0, -1.0, np.nan])
+def test_what_is_no_probability_is_refused(p):
+    with pytest.raises(ValueError, match=f"p {p} of b: give a probability, from 0 to 1"):
+        holm({"a": 0.5, "b": p})

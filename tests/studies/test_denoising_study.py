@@ -156,12 +156,13 @@ def coloured(tmp_path):
         Image.fromarray(picture).save(tmp_path / name)
     how = Preparation("colour")
     card = {
-        "name": "mine", "kind": "score", "network": network, "data": {"test": names},
+        "kind": "score", "network": network, "data": {"test": names},
         "preparation": dataclasses.asdict(how),
     }  # fmt: skip
     for perturbation in ("gaussian", "poisson"):
         denoiser = Denoiser(built, Statistics(0.5, 0.3, 0.01, 5.0, perturbation, lowest=0.0))
-        save_weights(tmp_path / f"mine-{perturbation}-score.safetensors", denoiser, card)
+        name = f"mine-{perturbation}-score"
+        save_weights(tmp_path / f"{name}.safetensors", denoiser, {"name": name, **card})
     return tmp_path
 
 
