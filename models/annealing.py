@@ -84,6 +84,35 @@ def counted_intensity_score(
     return 2 * full_well * field * (per_signal - 1) / (1 + thermal)
 
 
+def signal_count(
+    field: jax.Array, y: jax.Array, noise: jax.Array, annealing: jax.Array, background: jax.Array
+) -> jax.Array:
+    """What of `y` the light of the field is expected to have given, beside a `background`.
+
+    The score of a sum of counts is the mean, given the sum, of the score of one of them (Fisher).
+    That mean is the share l / (l + b) of all N electrons, where b are expected of the background
+    and l of the field; l is the light under the annealing error, of mean m and variance v, by its
+    best linear predictor m + v (N - m - b) / (v + m + b). Exact at annealing = 0, where l = m, and
+    near N - b where the error is broad. `noise` and `annealing` as in `counted_intensity_score`.
+
+    Approximation: measured against quadrature, the score errs by up to 0.4 of 1/sd of the field,
+    0.15 in root mean square, under 30 electrons of background; less under fewer.
+    """
+    half = 1.0 if jnp.iscomplexobj(field) else 0.5
+    full_well = 1 / (4 * noise)
+    thermal = 2 * full_well * annealing
+    coherent = full_well * (jnp.square(field.real) + jnp.square(field.imag))
+    mean = coherent + half * thermal
+    variance = 2 * thermal * coherent + half * thermal**2
+    dark = full_well * background
+    # Where neither sends light there is none to be shared out.
+    tiny = jnp.finfo(mean.dtype).tiny
+    total = jnp.maximum(mean + dark, tiny)
+    light = mean + variance / (variance + total) * (full_well * y - total)
+    light = jnp.maximum(light, 0.0)
+    return y * light / jnp.maximum(light + dark, tiny)
+
+
 def published_intensity_score(field: jax.Array, y: jax.Array, variance: jax.Array) -> jax.Array:
     """eq:complex_final as printed, `variance` standing for sigma_0^2 - sigma_t^2.
 
@@ -107,7 +136,7 @@ def counts_score(expected: jax.Array, y: jax.Array, variance: jax.Array) -> jax.
     return (y - expected) / variance
 
 
-def saturated_score(expected: jax.Array, edge: float, variance: jax.Array) -> jax.Array:
+def saturated_score(expected: jax.Array, edge: jax.Array | float, variance: jax.Array) -> jax.Array:
     """Score of a recording that says only "at least `edge`": d/dx log P(x + noise > edge).
 
     Gaussian noise of the `variance`, which is taken not to depend on the signal: a good

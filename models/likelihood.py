@@ -222,17 +222,27 @@ class LinearLikelihood(Likelihood):
 
 
 class IntensityLikelihood(Likelihood):
-    """y = N(irradiance |Ho|^2): the camera records the intensity of the field.
+    """y = N(irradiance |Ho|^2 + background): the camera records the intensity of the field.
 
-    `irradiance` (rho of eq:non_linear_transorm): a positive number, or an array that broadcasts to
-    the data, such as one value a LED: (M, 1, 1).
+    - `irradiance` (rho of eq:non_linear_transorm): a positive number, or an array that broadcasts
+      to the data, such as one value a LED: (M, 1, 1).
+    - `background`: light that the object does not send, in units of the full well: 0 or more, or
+      an array that broadcasts to the data; None: none. Counts of it are in the data, and their
+      noise with them.
     """
 
     optics: Optics
     camera: Camera
     irradiance: jax.Array
+    background: jax.Array | None
 
-    def __init__(self, optics: Optics, camera: Camera, irradiance: float | np.ndarray = 1.0):
+    def __init__(
+        self,
+        optics: Optics,
+        camera: Camera,
+        irradiance: float | np.ndarray = 1.0,
+        background: float | np.ndarray | None = None,
+    ):
         _check_parts(optics, camera)
         irradiance = np.asarray(irradiance, dtype=float)
         if not np.all(np.isfinite(irradiance) & (irradiance > 0)):
@@ -240,11 +250,19 @@ class IntensityLikelihood(Likelihood):
         self.optics = optics
         self.camera = camera
         self.irradiance = jnp.asarray(irradiance)
+        self.background = None
+        if background is not None:
+            self.background = jnp.asarray(_checked_background(background, optics.out_shape))
 
     def expected(self, x: jax.Array) -> jax.Array:
-        """irradiance |Hx|^2."""
+        """irradiance |Hx|^2 + background."""
         field = self._field(x)
-        return jnp.square(field.real) + jnp.square(field.imag)
+        light = jnp.square(field.real) + jnp.square(field.imag)
+        return light if self.background is None else light + self.background.astype(light.dtype)
+
+    def amplitude(self, y: jax.Array) -> jax.Array:
+        """|Hx| of which `y` is a recording without noise, shaped as `y`; 0 below the background."""
+        return jnp.sqrt(jnp.maximum(self._signal(y), 0) / self.irradiance)
 
     def annealed_score(
         self,
@@ -264,7 +282,8 @@ class IntensityLikelihood(Likelihood):
         sqrt(y) has the variance sigma_0^2/4 - sigma^2 ||h_i||^2/4 per component; it is up to twice
         too sure where a few electrons are counted. A saturated pixel counts as "at least
         this", with Gaussian noise. Where H H^H is not diagonal, the correlation of the annealing
-        errors is neglected. `clean` is not used.
+        errors is neglected. A background is shared out by `annealing.signal_count` ("convolved"),
+        or taken from y and its noise kept ("split"). `clean` is not used.
         `published=True`: eq:complex_final as printed, for complex objects along "split".
         """
         if perturbation != "gaussian":
@@ -277,12 +296,18 @@ class IntensityLikelihood(Likelihood):
         if published:
             return self._published_score(field, x, y, sigma, path)
         if path == "convolved" and self.camera.counting:
-            score = annealing.counted_intensity_score(field, y, noise, gain * sigma**2)
+            score = self._counted_score(field, y, gain * sigma**2)
         else:
             variance = annealing.remaining_variance(noise, gain * sigma**2, path)
-            score = annealing.intensity_score(field, y, variance)
+            score = annealing.intensity_score(field, self._signal(y), variance)
         score = self._where_saturated(score, field, y, noise, gain * sigma**2, path)
         return self._to_object((score * jnp.sqrt(self.irradiance)).astype(field.dtype), x)
+
+    def _counted_score(self, field: jax.Array, y: jax.Array, error: jax.Array) -> jax.Array:
+        noise = self._root_noise(y, self.camera.read_variance)
+        if self.background is not None:
+            y = annealing.signal_count(field, y, noise, error, self.background)
+        return annealing.counted_intensity_score(field, y, noise, error)
 
     def _where_saturated(
         self,
@@ -299,7 +324,8 @@ class IntensityLikelihood(Likelihood):
         variance = annealing.remaining_variance(noise, error, path)
         amplitude = jnp.abs(field)
         outwards = field / jnp.maximum(amplitude, jnp.finfo(amplitude.dtype).tiny)
-        saturated = annealing.saturated_score(amplitude, math.sqrt(edge), variance)
+        edge_amplitude = jnp.sqrt(jnp.maximum(self._signal(edge), 0))
+        saturated = annealing.saturated_score(amplitude, edge_amplitude, variance)
         return jnp.where(y > edge, outwards * saturated, score)
 
     def _published_score(
@@ -309,25 +335,33 @@ class IntensityLikelihood(Likelihood):
             raise ValueError("published=True is the paper's form: complex objects, path='split'")
         noise, gain = self._amplitude_noise(y, True)
         variance = 4 * annealing.remaining_variance(noise, gain * sigma**2, path)
-        weighted = annealing.published_intensity_score(field, y, variance)
+        weighted = annealing.published_intensity_score(field, self._signal(y), variance)
         return self._to_object((weighted * jnp.sqrt(self.irradiance)).astype(field.dtype), x)
 
     def noise(self, x_complex: bool, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Variance of the amplitude sqrt(y), and the annealing gain of the field."""
+        """Variance of the amplitude sqrt(y - background), and the annealing gain of the field."""
         return self._amplitude_noise(y, x_complex)
 
     def _field(self, x: jax.Array) -> jax.Array:
         field = self.optics(x)
         return field * jnp.sqrt(self.irradiance).astype(field.real.dtype)
 
+    def _signal(self, y: jax.Array) -> jax.Array:
+        return y if self.background is None else y - self.background
+
     def _amplitude_noise(self, y: jax.Array, x_complex: bool) -> tuple[jax.Array, jax.Array]:
+        dark = self.camera.read_variance
+        if self.background is not None:
+            dark = dark + self.camera.sigma0**2 * self.background
+        gain = self.irradiance * _annealing_gain(self.optics, x_complex)
+        return self._root_noise(self._signal(y), dark), gain
+
+    def _root_noise(self, y: jax.Array, dark: jax.Array | float) -> jax.Array:
         # sd(sqrt(y)) = sd(y)/(2 sqrt(y)): photon noise gives sigma_0/2 at every brightness.
         # That is first order in the noise; in the dark the noise itself sets the level.
-        floor = jnp.maximum(self.camera.sigma0**2, jnp.sqrt(self.camera.read_variance))
+        floor = jnp.maximum(self.camera.sigma0**2, jnp.sqrt(dark))
         level = jnp.maximum(y, floor)
-        variance = (self.camera.sigma0**2 + self.camera.read_variance / level) / 4
-        gain = self.irradiance * _annealing_gain(self.optics, x_complex)
-        return variance, gain
+        return (self.camera.sigma0**2 + dark / level) / 4
 
     @property
     def _field_gain(self) -> jax.Array:
@@ -352,3 +386,19 @@ def _check_parts(optics: Optics, camera: Camera) -> None:
         raise ValueError(f"optics is a {type(optics).__name__}: give an operator of models.optics")
     if not isinstance(camera, Camera):
         raise ValueError(f"camera is a {type(camera).__name__}: give a camera of models.camera")
+
+
+def _checked_background(background: float | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    background = np.asarray(background, dtype=float)
+    if not np.all(np.isfinite(background) & (background >= 0)):
+        raise ValueError(f"background {background.min():.3g}: it must be finite, and 0 or more")
+    try:
+        fits = np.broadcast_shapes(background.shape, shape) == shape
+    except ValueError:
+        fits = False
+    if not fits:
+        raise ValueError(
+            f"background of shape {background.shape} for data of shape {shape}: give one number, "
+            "or what broadcasts to them"
+        )
+    return background

@@ -25,6 +25,7 @@ CIRCULAR_SHIFT = "circular_shift"
 _POWER_ITERATIONS = 30
 _POWER_SAFETY = 1.1
 _LARGEST_NA = 1.6
+_SAME_LED = 1e-6
 
 
 class Optics(eqx.Module):
@@ -234,9 +235,11 @@ class FourierPtychography(Optics):
         - `radius`: of the disc, in Fourier samples, at most half the low-resolution width.
         - `upsampling`: integer, object pixels per camera pixel along an axis; divides `shape`.
 
-        Raises ValueError as the constructor does, and for a bad radius or upsampling.
+        Raises ValueError as the constructor does, for a bad radius or upsampling, and for a centre
+        that is there twice.
         """
         low = _low_shape(_plane(shape), upsampling)
+        refuse_same_direction(_centres(centres))
         if _positive("radius", radius) > min(low) / 2:
             raise ValueError(
                 f"radius {radius} leaves the band of the low-resolution shape {low}; "
@@ -275,13 +278,14 @@ class FourierPtychography(Optics):
         approximation, wrong by up to half a sample. LED positions count from the middle of the
         field of view (Zheng, Horstmeyer and Yang, Nature Photonics 7, 739, 2013).
 
-        Raises ValueError for values that are not physical, a pixel too large for the aperture, or
-        LEDs beyond the band of the object.
+        Raises ValueError for values that are not physical, a pixel too large for the aperture,
+        LEDs beyond the band of the object, or an LED that is there twice.
         """
         low = _low_shape(_plane(shape), upsampling)
         check_aperture(na, _positive("wavelength", wavelength), _positive("pixel_size", pixel_size))
         view = np.array(low) * pixel_size
         sines = _led_sines(led_na, led_positions, led_height)
+        refuse_same_direction(sines)
         centres = np.rint(sines / wavelength * view).astype(int)
         pupil = _disc(low, na / wavelength * view)
         needed = int(np.max(np.ceil(_needed_shape(centres, pupil) / np.array(low))))
@@ -787,6 +791,18 @@ def checked_sines(led_na: ArrayLike) -> np.ndarray:
             "give sines times the refractive index, not angles."
         )
     return sines
+
+
+def refuse_same_direction(leds: np.ndarray) -> None:
+    """Raises ValueError for two LEDs (M, 2) in one direction: sines, or Fourier samples."""
+    apart = np.linalg.norm(leds[:, None] - leds[None], axis=-1)
+    twice = np.argwhere(np.triu(apart < _SAME_LED, 1))
+    if len(twice):
+        first, second = twice[0]
+        raise ValueError(
+            f"LEDs {first} and {second} are in the same direction: add their images up, or leave "
+            "one out"
+        )
 
 
 def _pairs(name: str, value: ArrayLike) -> np.ndarray:

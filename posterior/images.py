@@ -109,14 +109,16 @@ def fit_to(picture: np.ndarray, size: int) -> np.ndarray:
     return resize(square, (size, size), anti_aliasing=True)
 
 
-def write_tiff(path: str | os.PathLike, array: np.ndarray) -> None:
-    """Write a real array (h, w) or (pages, h, w) as a float32 TIFF, there whole or not at all."""
+def write_tiff(path: str | os.PathLike, array: np.ndarray, colour: bool = False) -> None:
+    """Write a real array as a float32 TIFF, there whole or not at all.
+
+    (h, w) or (pages, h, w); (h, w, 3) if `colour`.
+    """
     array = np.asarray(array)
     if np.iscomplexobj(array):
         raise ValueError("a TIFF holds no complex numbers: write amplitude and phase apart")
-    replace_whole(
-        path, lambda part: tifffile.imwrite(part, array.astype("f4"), photometric="minisblack")
-    )
+    kind = "rgb" if colour else "minisblack"
+    replace_whole(path, lambda part: tifffile.imwrite(part, array.astype("f4"), photometric=kind))
 
 
 def _reader(path: str, key: str | None) -> Callable[[str], np.ndarray]:

@@ -1,5 +1,7 @@
 """An imaging problem, and the posterior it has once data are recorded."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,11 @@ import numpy as np
 from .models.annealing import component_sd, remaining_variance, tweedie
 from .models.likelihood import Likelihood
 from .models.priors.base import Prior
+from .models.priors.learned import LearnedPrior
+
+# No picture of a learnt prior is brighter than its mean by so many standard deviations; and data
+# that are so many times brighter yet are in other units.
+_BRIGHTEST_SD, _OTHER_UNITS = 4, 3
 
 
 class Problem(eqx.Module):
@@ -54,7 +61,8 @@ class Problem(eqx.Module):
         """The posterior given the recording `y` (normalised: electrons / full well).
 
         Raises ValueError with one sentence if `y` cannot be such a recording: wrong shape, NaN,
-        negative, above the full well, integer codes. Inside `jax.jit` only the shape is checked.
+        negative, above the full well, integer codes, in other units than a learnt prior. Inside
+        `jax.jit` only the shape is checked.
         """
         if not isinstance(y, jax.core.Tracer):
             y = np.asarray(y)
@@ -64,10 +72,35 @@ class Problem(eqx.Module):
             )
         if not isinstance(y, jax.core.Tracer):
             self.likelihood.camera.check(y)
+            self._refuse_other_units(y)
             kind = complex if np.iscomplexobj(y) else float
             y = jnp.asarray(y, jax.dtypes.canonicalize_dtype(kind))
         # Numbers among the parts become arrays: they are carried through compiled loops.
         return jax.tree.map(jnp.asarray, Posterior(self.likelihood, self.prior, y))
+
+    def _refuse_other_units(self, y: np.ndarray) -> None:
+        """Refuse data far brighter than any picture of a learnt prior: of 0..255, its own 0..1.
+
+        Of linear optics before a camera without a full well: one with it bounds the data itself.
+        """
+        prior, likelihood = self.prior, self.likelihood
+        if not isinstance(prior, LearnedPrior) or not likelihood.linear:
+            return
+        if likelihood.camera.counting:
+            return
+        statistics = prior.statistics
+        brightest = abs(statistics.mean) + _BRIGHTEST_SD * statistics.sd
+        gain = float(likelihood.optics.norm_squared()) * math.prod(prior.shape) / y.size
+        found = math.sqrt(float(np.mean(np.abs(y) ** 2)))
+        allowed = math.hypot(
+            _OTHER_UNITS * brightest * math.sqrt(gain), 3 * likelihood.camera.sigma
+        )
+        if found > allowed:
+            raise ValueError(
+                f"the data have a root mean square of {found:.3g}, and pictures of this prior "
+                f"(mean {statistics.mean:.3g}, sd {statistics.sd:.3g}) give {allowed:.3g} at most: "
+                "divide data and noise by their full scale"
+            )
 
 
 class Posterior(eqx.Module):

@@ -2,13 +2,14 @@
 
 import math
 import os
+import warnings
 from typing import NamedTuple
 
 import jax
 import numpy as np
 import scipy.fft
 
-from .models.optics import check_aperture, checked_sines
+from .models.optics import check_aperture, checked_sines, refuse_same_direction
 
 _KINDS = ("intensity", "amplitude")
 _NUMBERS = {
@@ -20,7 +21,9 @@ _NUMBERS = {
 _BAND = 0.97
 _FREE = 64  # frequencies of each image, to estimate a variance from
 _BRIGHT = 0.95  # of the aperture: the LED itself is seen
-_SAME_LED = 1e-6
+_MOST_CODES = 2**16  # of an ADC
+_LEAST_LEVELS = 8  # fewer values lie evenly by chance
+_UNEVEN = 0.1  # of a step
 _MOST = 2**23 - 2  # electrons, by what Poisson cameras count
 _MARGIN = 5  # samples, for the soft edge of a pupil and LEDs that turn out to be elsewhere
 _LEAST_RADIUS = 2  # samples
@@ -72,8 +75,10 @@ def read_stack(path: str | os.PathLike) -> Stack:
     - `na` or `NA`; `wavelength` or `wavelength_m`; `pixel_size` or `pixel_m`.
 
     Raises FileNotFoundError; ValueError, in one sentence, for a file that is no such stack, for
-    values that are negative or not finite, for counts of images and LEDs that differ, and for an
-    LED that is there twice.
+    values that are negative or not finite, for counts of images and LEDs that differ, for an LED
+    that is there twice, and for the wrong one of the two names: what a camera records is evenly
+    spaced, and so it is known. Warns (UserWarning) where the images are evenly spaced under neither
+    name, as after a correction or a mean over exposures.
     """
     path = os.fspath(path)
     if not os.path.exists(path):
@@ -90,13 +95,8 @@ def read_stack(path: str | os.PathLike) -> Stack:
             "or amplitude"
         )
     images = _images(arrays[kinds[0]], path)
-    if kinds[0] == "amplitude" and (images == np.rint(images)).all():
-        raise ValueError(
-            f"{path} holds amplitudes that are whole numbers, as a camera's intensities are: name "
-            "the array intensity, or save square roots"
-        )
+    intensity = _intensity(images, kinds[0], path)
     numbers = {name: _number(arrays, names, path) for name, names in _NUMBERS.items()}
-    intensity = images**2 if kinds[0] == "amplitude" else images
     return checked_stack(Stack(intensity, _directions(arrays, path), **numbers))
 
 
@@ -117,14 +117,7 @@ def checked_stack(stack: Stack) -> Stack:
             f"{_LEAST_RADIUS}: give wavelength and pixel_size (over the magnification) in metres, "
             "or larger images"
         )
-    apart = np.linalg.norm(leds[:, None] - leds[None], axis=-1)
-    twice = np.argwhere(np.triu(apart < _SAME_LED, 1))
-    if len(twice):
-        first, second = twice[0]
-        raise ValueError(
-            f"LEDs {first} and {second} are in the same direction: add their images up, or leave "
-            "one out"
-        )
+    refuse_same_direction(leds)
     dark = np.flatnonzero(images.sum(axis=(1, 2)) <= 0)
     if len(dark):
         raise ValueError(f"image {dark[0]} is dark everywhere: leave its LED out")
@@ -249,6 +242,60 @@ def _images(images: np.ndarray, path: str) -> np.ndarray:
     if images.min() < 0:
         raise ValueError(f"{path} holds the value {images.min():.3g}: light is not negative")
     return images
+
+
+def _intensity(images: np.ndarray, kind: str, path: str) -> np.ndarray:
+    """Intensities of images that are said to be of a kind; a camera's codes tell if it is wrong."""
+    squares = images**2
+    brightest = images.sum(axis=(1, 2)).argmax()
+    even = {"intensity": _evenly_spaced(images[brightest])}
+    # Squares of even values are even too: where intensities are, amplitudes cannot be.
+    even["amplitude"] = not even["intensity"] and _evenly_spaced(squares[brightest])
+    other = "intensity" if kind == "amplitude" else "amplitude"
+    if even[other]:
+        what = {
+            "intensity": "values that are evenly spaced, as a camera's intensities are",
+            "amplitude": "values whose squares are evenly spaced, as a camera's intensities are",
+        }[other]
+        done = "" if kind == "intensity" else ", or save square roots"
+        raise ValueError(f"{path}: the array {kind} holds {what}: name it {other}{done}")
+    if not even[kind]:
+        done = "squared" if kind == "amplitude" else "taken as it is"
+        warnings.warn(
+            f"{path}: the array {kind} is {done}, and its values do not tell whether that is "
+            f"right: if they are of the other kind, name the array {other}",
+            stacklevel=3,
+        )
+    return squares if kind == "amplitude" else images
+
+
+def _evenly_spaced(values: np.ndarray) -> bool:
+    """Whether there is a step of which all differences are multiples, as those of codes are.
+
+    The step is found from ever larger differences, because rounding blurs the smallest.
+    """
+    levels = np.unique(values)
+    if len(levels) < _LEAST_LEVELS:
+        # A dark or even image tells nothing, unless its values are codes themselves.
+        return bool((values == np.rint(values)).all())
+    # Rounding splits one code into several values, of no gap to speak of.
+    least = 0.1 * np.ptp(levels) / _MOST_CODES
+    gaps = np.diff(levels)
+    gaps[gaps < least] = np.inf
+    if np.isinf(gaps).all():
+        return False
+    narrowest = gaps.argmin()
+    apart, reach = np.abs(levels - levels[narrowest]), gaps[narrowest]
+    # An ADC finer than electrons leaves codes out: two gaps then differ by one step.
+    steps = np.diff(np.unique(gaps[gaps < np.inf]))
+    step = steps[steps > least].min(initial=reach)
+    while reach < 2 * apart.max():
+        reach *= 2
+        near = apart[apart <= reach]
+        whole = np.rint(near / step)
+        step = (near @ whole) / (whole @ whole)
+    off = np.abs(apart / step - np.rint(apart / step))
+    return bool(np.ptp(levels) / step <= _MOST_CODES and off.max() < _UNEVEN)
 
 
 def _directions(arrays: dict[str, np.ndarray], path: str) -> np.ndarray:

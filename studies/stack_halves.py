@@ -4,11 +4,12 @@ import os
 from typing import NamedTuple, Self
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..diagnostics.predictive import misfit
 from ..estimators import calibrate
-from ..estimators.calibration import Calibrated
+from ..estimators.calibration import NOMINAL, Calibrated
 from ..models.priors import ScorePrior
 from ..presets import prior_scale
 from ..stacks import Stack, dispersed, grid, in_electrons, least_upsampling, read_stack
@@ -42,12 +43,13 @@ class StackHalves(NamedTuple):
     @classmethod
     def of(
         cls, path: str | os.PathLike, view: int, widest: float, prior: str, draws: int, seed: int,
-        progress: bool = False,
+        progress: bool = False, background: bool = False,
     ) -> Self:  # fmt: skip
         """From a file: its middle `view` camera pixels (0: all), LEDs of at most `widest` NA.
 
-        Halves at random, by `seed`. Calibrates, which takes minutes. Raises ValueError as
-        `read_stack` and `calibrate` do, and where fewer than 4 LEDs or 16 pixels are left.
+        Halves at random, by `seed`. Calibrates, which takes minutes; `background`: whether the
+        images may hold some. Raises ValueError as `read_stack` and `calibrate` do, and where fewer
+        than 4 LEDs or 16 pixels are left.
         """
         stack = read_stack(path)
         stack = stack.of(np.linalg.norm(stack.led_na, axis=1) <= widest)
@@ -58,7 +60,8 @@ class StackHalves(NamedTuple):
         upsampling = least_upsampling(stack)
         # A network that does not fit is refused before minutes of calibration.
         ScorePrior.load(prior, tuple(upsampling * n for n in grid(stack).shape), dtype=complex)
-        found = calibrate(stack.of(half), upsampling, progress=progress)
+        start = NOMINAL._replace(background=background)
+        found = calibrate(stack.of(half), upsampling, start, progress=progress)
         return cls(stack.of(half), stack.of(~half), upsampling, found, prior, draws, seed)
 
     def __call__(self, system: str, condition: str, index: int) -> np.ndarray:
@@ -74,15 +77,21 @@ class StackHalves(NamedTuple):
         return Recording(likelihood, y, self.prior, key, self.draws, measured=True)
 
     def residuals(self, o: np.ndarray) -> tuple[float, ...]:
-        """Squared residuals over photon noise of an object (h, w), each LED its brightness.
+        """Squared residuals over photon noise of an object (h, w).
 
-        Of bright and of dark fields that were fitted, then of those held out; nan of none.
+        Of bright and of dark fields that were fitted, then of those held out; nan of none. Each
+        LED has the brightness and the background that fit its image best.
         """
         values = []
         for stack in (self.fitted, self.held_out):
             for leds in (stack.bright, ~stack.bright):
                 values.append(self._misfit(stack.of(leds), o) if leds.any() else np.nan)
         return tuple(values)
+
+    def expected(self, stack: Stack, o: np.ndarray) -> np.ndarray:
+        """Expected electrons (LEDs, n0, n1) of a stack of electrons behind an object (h, w)."""
+        likelihood, _ = self.found.calibration.likelihood(stack, self.upsampling, o)
+        return np.asarray(likelihood.expected(jnp.asarray(o)), float) * likelihood.camera.full_well
 
     def _misfit(self, stack: Stack, o: np.ndarray) -> float:
         likelihood, y = self.found.calibration.likelihood(stack, self.upsampling, o)
@@ -107,7 +116,7 @@ def stack_table(study: StackHalves, answers: dict[str, Answer]) -> str:
     text = (
         f"{leds[0]} LEDs are fitted, {leds[1]} held out; objects of {study.found.object.shape}. "
         "Squared residuals over the variance of photon noise, sum over sum: 1 where photons alone "
-        "scatter.\n"
+        f"scatter. {_background_of(study)}\n"
     )
     lines = [text, row_of(_HEAD), "|" + "---|" * len(_HEAD)]
     lines.append(row_of(["calibration", *_numbers(study.residuals(study.found.object)), *[""] * 4]))
@@ -115,6 +124,19 @@ def stack_table(study: StackHalves, answers: dict[str, Answer]) -> str:
         if not answer.refusal:
             lines.append(row_of([name, *_row(study, answer)]))
     return "\n".join([*lines, "", *refusals(answers)])
+
+
+def _background_of(study: StackHalves) -> str:
+    if not study.found.calibration.background:
+        return "The images are taken to hold no background."
+    share = study.found.background / study.fitted.intensity.mean(axis=(1, 2))
+    parts = {"bright": study.fitted.bright, "dark": ~study.fitted.bright}
+    said = [
+        f"{100 * np.median(share[k]):.1f} % of {name} fields"
+        for name, k in parts.items()
+        if k.any()
+    ]
+    return f"Background is {' and '.join(said)} (median)."
 
 
 def _row(study: StackHalves, answer: Answer) -> list[str]:

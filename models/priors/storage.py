@@ -95,7 +95,8 @@ def card_of(
 def load_denoiser(
     name: str | os.PathLike, kind: str, perturbation: str, dtype: type | None = None
 ) -> Denoiser:
-    """The denoiser of a shipped name or a .safetensors path, checked against what is asked for.
+    """The denoiser of a shipped name ("nuclei", or the whole "nuclei-gaussian-score") or a
+    .safetensors path, checked against what is asked for.
 
     Raises FileNotFoundError, or ValueError in one sentence: damaged file or card, hash or shapes
     that do not fit, another kind, perturbation or object dtype.
@@ -132,6 +133,12 @@ def read_card(path: Path) -> dict[str, Any]:
         raise ValueError(f"{card_file} is no model card: copy it anew") from None
     if missing:
         raise ValueError(f"{card_file} lacks {', '.join(sorted(missing))}: copy it anew")
+    named = card.get("name", path.stem)
+    if named != path.stem:
+        raise ValueError(
+            f"{path.name} has a card named {named!r}: call the two files {named}.safetensors and "
+            f"{named}.json again, or set the card's name to {path.stem!r} if they belong together"
+        )
     if card["format"] != FORMAT:
         raise ValueError(f"{card_file} has format {card['format']}: this version reads {FORMAT}")
     return card
@@ -144,7 +151,7 @@ def _located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
             raise FileNotFoundError(f"no file {path}: give the path of a .safetensors file")
         return path
     file = f"{name}-{perturbation}-{kind}.safetensors"
-    for path in (FOLDER / file, Path(file)):
+    for path in (FOLDER / file, Path(file), FOLDER / f"{name}.safetensors"):
         if path.exists():
             return path
     raise ValueError(

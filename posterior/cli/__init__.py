@@ -6,6 +6,7 @@ is the front door: it alone may look into every room.
 """
 
 import sys
+import warnings
 from collections.abc import Sequence
 
 import typer
@@ -33,7 +34,9 @@ app.command("demo")(demo.command)
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: every error that a user can cause is one sentence and exit status 2."""
     try:
-        status = app(arguments, prog_name="posterior", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            status = app(arguments, prog_name="posterior", standalone_mode=False)
     except _REFUSED as error:
         status = _refuse(_sentence(error))
     except Exception as error:
@@ -42,6 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         status = _refuse(f"{error.format_message().rstrip('.')}; see posterior --help")
     sys.exit(status)
+
+
+def _warn(message: Warning | str, *_where: object) -> None:
+    print(f"warning: {message}", file=sys.stderr)
 
 
 def _refuse(sentence: str) -> int:

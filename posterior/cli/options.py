@@ -8,13 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from ..models.priors.storage import shipped_names
 from ..presets import (
     APPLICATIONS,
+    COLOURS,
+    DENOISING,
+    LEDS,
+    PHASE_RETRIEVAL,
     PTYCHOGRAPHY,
     SAMPLERS,
+    STARTS,
     Application,
     best_sampler,
+    is_shipped,
     is_trained,
     weights_card,
 )
@@ -36,6 +41,13 @@ _RANGES = {
     "oversampling": (1, None),
 }
 
+# Options of one problem alone, and their values.
+_OF_ONE = {
+    "leds": (PTYCHOGRAPHY, LEDS),
+    "colour": (DENOISING, COLOURS),
+    "start": (PHASE_RETRIEVAL, STARTS),
+}
+
 
 @dataclasses.dataclass(frozen=True)
 class Options:
@@ -46,6 +58,7 @@ class Options:
     data: str | None = None
     stack: str | None = None
     electrons: float | None = None
+    background: bool = False
     full_well: int | None = None
     bits: int | None = None
     sampler: str | None = None
@@ -59,6 +72,9 @@ class Options:
     irradiance: float | None = None
     page: int | None = None
     oversampling: int | None = None
+    leds: int | None = None
+    colour: str | None = None
+    start: str | None = None
 
     def resolved(self) -> "Options":
         """With the defaults of problem and sampler filled in; refuses what cannot go together."""
@@ -76,10 +92,14 @@ class Options:
             raise ValueError(
                 f"--electrons {self.electrons}: only a --stack takes them, leave it out"
             )
+        elif self.background:
+            raise ValueError("--background: only a --stack takes it, leave it out")
         if self.data is not None and self.full_well is None:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():
             _check_range(option, getattr(self, option), least, most)
+        for option, (problem, known) in _OF_ONE.items():
+            _check_of_one(option, getattr(self, option), self.problem, problem, known)
         if is_trained(self.prior):
             weights_card(self.prior, sampling.needs)
         full_well, bits = self._camera(application)
@@ -88,7 +108,7 @@ class Options:
             image=_absolute(self.image),
             data=_absolute(self.data),
             stack=_absolute(self.stack),
-            prior=self.prior if self.prior in shipped_names() else _absolute(self.prior),
+            prior=self.prior if is_shipped(self.prior) else _absolute(self.prior),
             full_well=full_well,
             bits=bits,
             sampler=name,
@@ -111,7 +131,7 @@ class Options:
     def _refuse_beside_a_stack(self) -> None:
         if self.problem != PTYCHOGRAPHY:
             raise ValueError(f"--stack is for {PTYCHOGRAPHY}: give --data to {self.problem}")
-        for name in ("full_well", "bits", "size", "irradiance", "page", "oversampling"):
+        for name in ("full_well", "bits", "size", "irradiance", "page", "oversampling", "leds"):
             if getattr(self, name) is not None:
                 option = f"--{name.replace('_', '-')} {getattr(self, name)}"
                 raise ValueError(f"{option}: a stack says so itself, leave it out")
@@ -138,6 +158,15 @@ def _check_range(option: str, value: int | None, least: int, most: int | None) -
     if not isinstance(value, int) or value < least or (most is not None and value > most):
         wanted = f"{least} or more" if most is None else f"{least} to {most}"
         raise ValueError(f"--{option.replace('_', '-')} {value}: give a whole number, {wanted}")
+
+
+def _check_of_one(option: str, value: Any, problem: str, of: str, known: tuple) -> None:
+    if value is None:
+        return
+    if problem != of:
+        raise ValueError(f"--{option} {value}: only {of} takes it, leave it out")
+    if value not in known:
+        raise ValueError(f"--{option} {value}: give one of {', '.join(map(str, known))}")
 
 
 def _absolute(path: str | None) -> str | None:

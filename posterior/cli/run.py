@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import typer
 
 from .. import presets
@@ -24,7 +25,7 @@ from ..stacks import read_stack
 from .options import Options
 from .outputs import CHECKPOINT, prepare, write
 from .summary import summarise
-from .words import doubts, tell
+from .words import doubts, out_of_range, tell
 
 
 def run(
@@ -50,7 +51,9 @@ def run(
         question = _question(options, key_record, quiet)
         _refuse_changed_prior(earlier, question)
         posterior = question.problem.condition(question.y)
-        sampler = SAMPLERS[options.sampler].build(posterior)
+        for doubt in out_of_range(_card(options), _picture(options, question)):
+            print(f"warning: {doubt}", file=sys.stderr)
+        sampler = presets.sampler_of(options.sampler, posterior, options.start)
         # Here too: the search for a start takes minutes.
         sampler.check(keys[1], posterior)
         draws = _draw(options, question, posterior, sampler, keys, out / CHECKPOINT, quiet)
@@ -79,7 +82,7 @@ def run(
             summary.results,
             options.sampler,
             _card(options),
-            question.y if options.problem == presets.DENOISING else None,
+            _picture(options, question),
         ),
         "seconds": round(time.perf_counter() - began, 1),
         "versions": versions(),
@@ -114,6 +117,7 @@ def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
             stack,
             key,
             electrons=options.electrons,
+            background=options.background,
             prior=options.prior,
             needs=needs,
             progress=not quiet,
@@ -121,11 +125,17 @@ def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
     camera = Poisson(options.full_well, options.bits or None)
     picture = read_picture(options.image or options.data, options.page)
     given = {
-        name: getattr(options, name) for name in ("size", "prior", "irradiance", "oversampling")
+        name: getattr(options, name)
+        for name in ("size", "prior", "irradiance", "oversampling", "leds", "colour")
     } | {"needs": needs}
     if options.data is not None:
         return presets.record(options.problem, picture, camera, **given)
     return presets.simulate(options.problem, picture, camera, key, **given)
+
+
+def _picture(options: Options, question: Question) -> np.ndarray | None:
+    """The recording, where it is of the object itself."""
+    return question.y if options.problem == presets.DENOISING else None
 
 
 def _card(options: Options) -> dict[str, Any] | None:
@@ -160,7 +170,7 @@ def _draw(
     measured = question.microscope is not None
     start = presets.start_of(
         options.sampler, posterior, keys[0], options.chains, progress=not quiet,
-        measured=measured, scout=_scout(options, posterior.shape),
+        measured=measured, scout=_scout(options, posterior.shape), begin=options.start,
     )  # fmt: skip
     return sample(
         posterior,
@@ -179,6 +189,8 @@ def _draw(
 def _scout(options: Options, shape: tuple[int, ...]) -> ScorePrior | None:
     """The network that searches for starts, where it is not the prior itself."""
     if options.problem != presets.PHASE_RETRIEVAL or not presets.is_trained(options.prior):
+        return None
+    if options.start in ("none", "hio"):
         return None
     name = presets.scout_of(options.prior)
     return None if name == options.prior else ScorePrior.load(name, shape)

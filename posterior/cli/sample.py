@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..presets import APPLICATIONS, SAMPLERS
+from ..presets import APPLICATIONS, COLOURS, LEDS, SAMPLERS, STARTS
 from .options import Options, Out, Overwrite, Quiet
 from .run import run
 
@@ -21,6 +21,9 @@ def command(
     electrons: Annotated[
         float | None, typer.Option(help="A unit of a stack's intensity; unsaid: by its noise.")
     ] = None,
+    background: Annotated[
+        bool, typer.Option("--background", help="The images of a stack may hold even light.")
+    ] = False,
     full_well: Annotated[int | None, typer.Option(help="Electrons at saturation.")] = None,
     bits: Annotated[int | None, typer.Option(help="Of the ADC; 0: none.")] = None,
     sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,
@@ -36,6 +39,18 @@ def command(
     irradiance: Annotated[float | None, typer.Option(help="Signal at a field of 1.")] = None,
     page: Annotated[int | None, typer.Option(help="Of a file of many, from 0.")] = None,
     oversampling: Annotated[int | None, typer.Option(help="Of the far field.")] = None,
+    leds: Annotated[
+        int | None,
+        typer.Option(help=f"Of simulated ptychography: one of {', '.join(map(str, LEDS))}."),
+    ] = None,
+    colour: Annotated[
+        str | None,
+        typer.Option(help=f"Of a picture in colour, under a grey prior: {' or '.join(COLOURS)}."),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(help=f"Of chains of phase retrieval: one of {', '.join(STARTS)}."),
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:

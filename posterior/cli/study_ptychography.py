@@ -53,6 +53,9 @@ def command(
     bits: Annotated[int, typer.Option(help="Of the ADC; 0: whole counts.")] = 8,
     view: Annotated[int, typer.Option(help="Middle camera pixels of a stack; 0: all.")] = 0,
     widest: Annotated[float, typer.Option(help="NA up to which LEDs of a stack are used.")] = 0.19,
+    background: Annotated[
+        bool, typer.Option(help="Whether the images of a stack may hold even background.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Same seed, same recordings and draws.")] = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -64,7 +67,7 @@ def command(
         raise ValueError("give either --data (references, to simulate with) or --stack (measured)")
     names = _checked(system, objects, draws, part)
     if stack is not None:
-        run_stack(stack, out, prior, names, view, widest, draws, seed, quiet)
+        run_stack(stack, out, prior, names, view, widest, draws, seed, background, quiet)
         return
     by_sigma = [Condition(_LEDS, value).name for value in sigma]
     by_leds = [Condition(value, _SIGMA).name for value in leds]

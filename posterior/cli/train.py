@@ -30,7 +30,6 @@ from ..train import (
     train,
 )
 from ..training_report import (
-    PATCHES,
     calibration,
     central_patches,
     denoising,
@@ -96,9 +95,10 @@ def command(
     )  # fmt: skip
     folder = _data_folder(data)
     files = {p.name: p for p in picture_files(folder)}
+    # All of them, and first: a file that cannot be read is the cause to tell.
+    loaded = {name: prepare(file, how) for name, file in files.items()}
     split = split_names(list(files), validation, test, group, hold_out)
-    loaded = [prepare(files[name], how) for name in split.train]
-    pictures = [p for p in loaded if min(p.shape[:2]) >= size]
+    pictures = [loaded[n] for n in split.train if min(loaded[n].shape[:2]) >= size]
     if not pictures:
         raise ValueError(f"no picture in {folder} has {size} pixels a side: give a smaller --size")
     statistics = statistics_of(pictures, perturbation, how)
@@ -109,7 +109,7 @@ def command(
     denoiser, losses, seconds = _with_progress(
         Denoiser(built, statistics), pictures, recipe, Path(f"{_stem(out)}.training"), quiet
     )
-    held_out = [prepare(files[n], how) for n in split.validation]
+    held_out = [loaded[n] for n in split.validation]
     prior, validation = _validated(denoiser, kind, held_out, quiet)
     table = validation["denoising_psnr_db"]
     against = doubts(losses, table)
@@ -152,7 +152,7 @@ def _validated(
     colour = denoiser.network.channels == 3
     shape = patches.shape[1:] if colour else patches.shape[1:3]
     prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
-    found = {"denoising_psnr_db": denoising(prior, patches), "patches": PATCHES}
+    found = {"denoising_psnr_db": denoising(prior, patches), "patches": len(patches)}
     if prior.perturbation == "poisson":
         found["calibration"] = calibration(prior, patches, quiet=quiet)
     return prior, found

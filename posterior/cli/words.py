@@ -54,8 +54,7 @@ def doubts(
     `card` of the weights, if the prior is one; `picture`: the recording, if it is of the object.
     """
     said = [] if card is None else [_learnt(card)]
-    if card is not None and picture is not None:
-        said += _out_of_range(card, picture)
+    said += out_of_range(card, picture)
     if "rhat" not in results and "ess" not in results:
         said.append(
             "convergence is not checked: that takes 2 chains and 4 draws of each, give --chains 4 "
@@ -131,8 +130,10 @@ def _learnt(card: dict[str, Any]) -> str:
     )
 
 
-def _out_of_range(card: dict[str, Any], picture: np.ndarray) -> list[str]:
-    """Whether the picture is as bright as those the prior was trained on."""
+def out_of_range(card: dict[str, Any] | None, picture: np.ndarray | None) -> list[str]:
+    """Whether the picture is as bright as those the prior was trained on; as `doubts`."""
+    if card is None or picture is None:
+        return []
     percentile = card.get("preparation", {}).get("percentile")
     if percentile is None:
         return []

@@ -3,10 +3,17 @@
 The numbers of a microscope are never quite right, and a likelihood that believes them is sure of
 the wrong object. What the images tell of them is fitted together with the object, by quasi-Newton
 on the likelihood of Poisson counts: the aberrations of the pupil, the place, spacing and turn of
-the LED array, and the brightness of each LED (Eckert, Phillips and Waller, Applied Optics 57, 5434,
-2018, and Yeh et al., Optics Express 23, 33214, 2015, do so one after the other).
+the LED array, the brightness of each LED, and the background of its image (Eckert, Phillips and
+Waller, Applied Optics 57, 5434, 2018, and Yeh et al., Optics Express 23, 33214, 2015, do so one
+after the other, without the background).
+
+A background, stray light or an offset of the camera, adds one number to all pixels of an image, so
+that of its Fourier coefficients only the zeroth knows of it. The brightness scales all of them, and
+is told by the others: by how deep the structure is that the object gives this image, and that its
+other images share. Where an image has no structure the two are one.
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -29,6 +36,8 @@ _ABERRATIONS = 19  # to the second spherical one
 # Samples at the outermost LED, and radians, that change the images as much as the first steps on
 # the object do: with units ten times as large quasi-Newton goes astray, or takes ten times as long.
 _LED_UNIT, _ABERRATION_UNIT = 0.01, 0.005
+_FIRST_ROOT = 0.1  # a hundredth of an image; at 0 the slope vanishes
+_HALVINGS = 40
 _HISTORY = 20
 _FAINT = 0.05  # electrons: light that no model is sure to lack
 
@@ -39,10 +48,12 @@ class Calibration(NamedTuple):
     - `leds`: (4,) shift of the LED array (row, column) in Fourier samples of `stacks.grid`, its
       magnification less 1, and its turn in radians, from the columns to the rows.
     - `aberration`: radians, as in models/pupil.py.
+    - `background`: whether an image may hold light that is even all over it.
     """
 
     leds: np.ndarray
     aberration: np.ndarray
+    background: bool = False
 
     def optics(self, stack: Stack, upsampling: int) -> FourierPtychography:
         """The optics of the LEDs of a stack, each centre where it is, not at a whole sample."""
@@ -58,30 +69,34 @@ class Calibration(NamedTuple):
     ) -> tuple[IntensityLikelihood, np.ndarray]:
         """The likelihood of a stack of electrons, and its recording.
 
-        Each LED is as bright as makes the expected electrons of its image, with the object `o`,
-        those that were counted. The full well is one electron above the brightest pixel.
+        Each LED is as bright, and its image holds as much background, as makes the counts most
+        probable with the object `o`. The full well is one electron above the brightest pixel.
         """
         full_well = int(stack.intensity.max()) + 1
         optics = self.optics(stack, upsampling)
         light = np.abs(np.asarray(optics(jnp.asarray(o)), complex)) ** 2
-        irradiance = _brightness(stack.intensity, light) / full_well
-        likelihood = IntensityLikelihood(optics, Poisson(full_well), irradiance)
+        share = _shares(stack.intensity, light)[:, None, None] if self.background else 0.0
+        brightness, background = (e / full_well for e in _exposure(stack.intensity, light, share))
+        background = background if self.background else None
+        likelihood = IntensityLikelihood(optics, Poisson(full_well), brightness, background)
         return likelihood, stack.intensity / full_well
 
 
 class Calibrated(NamedTuple):
-    """A `calibration`, the object (complex) found with it, and the `dispersion` that they leave.
+    """A `calibration`, the object (complex) found with it, and what is left; (M,), one an LED.
 
-    For each LED, (M,): squared residuals over the variance of Poisson counts, sum over sum, for
-    each degree of freedom; 1 where photon noise explains them, nan where there are no more pixels
-    than degrees. Approximation: of those the object takes up two for each of its frequencies that
-    reach the camera, the same share from every LED, and as many for the rim (measured with the
-    right microscope: 1.03 to 1.09).
+    - `dispersion`: squared residuals over the variance of Poisson counts, sum over sum, for each
+      degree of freedom; 1 where photon noise explains them, nan where there are no more pixels than
+      degrees. Approximation: of those the object takes up two for each of its frequencies that
+      reach the camera, the same share from every LED, and as many for the rim (measured with the
+      right microscope: 1.03 to 1.09).
+    - `background`: even light in the image, electrons a pixel.
     """
 
     calibration: Calibration
     object: np.ndarray
     dispersion: np.ndarray
+    background: np.ndarray
 
 
 NOMINAL = Calibration(np.zeros(_MISPLACED), np.zeros(_ABERRATIONS))
@@ -105,8 +120,8 @@ def calibrate(
       converges last: of a simulated one a third is left after 5.
 
     The object has a mean amplitude of about 1; its brightness and that of the LEDs are not told
-    apart. Raises ValueError for intensities that are no whole electrons, and LEDs that leave the
-    band of the object.
+    apart. Background is 0 or more, and none where `start` has none. Raises ValueError for
+    intensities that are no whole electrons, and LEDs that leave the band of the object.
     """
     counts = stack.intensity
     if (counts != np.rint(counts)).any():
@@ -114,13 +129,19 @@ def calibrate(
     scene = _Scene.of(stack, start, upsampling)
     microscope = np.concatenate([start.leds, start.aberration]) / _units(stack)
     o = to_real(_first_object(stack, scene.optics))
-    v = jnp.concatenate([o, microscope.astype(o.dtype)])
+    roots = np.full(len(counts) if start.background else 0, _FIRST_ROOT)
+    v = jnp.concatenate([o, *(jnp.asarray(part, o.dtype) for part in (microscope, roots))])
     for _ in track(range(rounds), "calibration", disable=not progress):
         v = _fitted(scene, v, iterations)
-    o, microscope = v[: len(o)], np.asarray(v[len(o) :], float) * _units(stack)
-    found = Calibration(microscope[:_MISPLACED], microscope[_MISPLACED:])
+    o, microscope, _ = scene.parts(v)
+    leds, aberration = np.split(np.asarray(microscope, float) * _units(stack), [_MISPLACED])
+    found = Calibration(leds, aberration, start.background)
     o = np.asarray(from_real(o, scene.optics.in_shape, complex))
-    return Calibrated(found, o, _dispersion(stack, upsampling, found, o))
+    likelihood, _ = found.likelihood(stack, upsampling, o)
+    background = np.zeros(len(counts))
+    if start.background:
+        background = np.ravel(likelihood.background) * likelihood.camera.full_well
+    return Calibrated(found, o, _dispersion(counts, likelihood, o), background)
 
 
 class _Scene(eqx.Module):
@@ -138,38 +159,67 @@ class _Scene(eqx.Module):
         arrays = stack.intensity, where.places, where.radii, _units(stack)
         return cls(start.optics(stack, upsampling), *map(jnp.asarray, arrays))
 
+    def parts(self, v: jax.Array) -> list[jax.Array]:
+        """Real view of the object, the microscope in units, and roots of the background, if any.
+
+        A root r stands for the share r^2 / (1 + r^2) of an image: quasi-Newton knows no bounds.
+        """
+        size = 2 * math.prod(self.optics.in_shape)
+        return jnp.split(v, [size, size + len(self.units)])
+
     def cost(self, v: jax.Array) -> jax.Array:
         """Minus the log-likelihood of Poisson counts, less a constant, over its stiffest curvature.
 
-        `v`: real view of the object, then the microscope, in units. Each LED has the brightness at
-        which the likelihood is highest, in closed form.
+        `v`: as `parts` takes it apart. Each LED has the brightness at which the likelihood is
+        highest, in closed form.
         """
-        o, microscope = v[: -len(self.units)], v[-len(self.units) :] * self.units
-        leds, aberration = microscope[:_MISPLACED], microscope[_MISPLACED:]
+        o, microscope, roots = self.parts(v)
+        leds, aberration = jnp.split(microscope * self.units, [_MISPLACED])
         offsets = _moved(self.places, leds) - self.optics.centres
         pupil = pupils(self.optics.low_shape, self.radii, offsets, aberration)
         optics = eqx.tree_at(lambda optics: optics.pupil, self.optics, pupil)
         field = optics(from_real(o, optics.in_shape, complex))
         light = field.real**2 + field.imag**2
-        expected = _brightness(self.counts, light) * light + _FAINT
+        share = (jnp.square(roots) / (1 + jnp.square(roots)))[:, None, None] if len(roots) else 0.0
+        brightness, background = _exposure(self.counts, light, share)
+        expected = brightness * light + background + _FAINT
         # The differences are small beside the sums, which float32 rounds.
         surprise = expected - self.counts * (1 + jnp.log(expected / (self.counts + _FAINT)))
         # An image of n electrons a pixel bends by about 4 n where the amplitude is about 1.
         return jnp.sum(surprise) / (4 * jnp.max(jnp.mean(self.counts, axis=(1, 2))))
 
 
-def _brightness(counts: ArrayLike, light: ArrayLike) -> ArrayLike:
-    """Of each LED (M, 1, 1), so that the expected electrons of its image are those counted."""
-    return counts.sum(axis=(1, 2), keepdims=True) / light.sum(axis=(1, 2), keepdims=True)
+def _exposure(counts: ArrayLike, light: ArrayLike, share: ArrayLike) -> tuple:
+    """Brightness of each LED and background of its image, (M, 1, 1).
+
+    The background is this share of the image; with the best brightness the expected electrons of
+    an image are those counted, whatever the share.
+    """
+    mean = counts.mean(axis=(1, 2), keepdims=True)
+    return (1 - share) * mean / light.mean(axis=(1, 2), keepdims=True), share * mean
 
 
-def _dispersion(stack: Stack, upsampling: int, found: Calibration, o: np.ndarray) -> np.ndarray:
-    likelihood, _ = found.likelihood(stack, upsampling, o)
+def _shares(counts: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Of each image (M,), the share of even background that makes its counts most probable.
+
+    The log-likelihood of a mixture is concave in its shares: its slope is brought to 0 by halving.
+    """
+    shape = light / light.mean(axis=(1, 2), keepdims=True)
+    low, high = np.zeros(len(counts)), np.ones(len(counts))
+    for _ in range(_HALVINGS):
+        share = (low + high) / 2
+        at = share[:, None, None]
+        slope = np.sum(counts * (1 - shape) / ((1 - at) * shape + at), axis=(1, 2))
+        low, high = np.where(slope > 0, share, low), np.where(slope > 0, high, share)
+    return low
+
+
+def _dispersion(counts: np.ndarray, likelihood: IntensityLikelihood, o: np.ndarray) -> np.ndarray:
     expected = np.asarray(likelihood.expected(jnp.asarray(o)), float) * likelihood.camera.full_well
-    free = 1 - 2 * likelihood.optics.frequencies() / stack.intensity.size
+    free = 1 - 2 * likelihood.optics.frequencies() / counts.size
     if free <= 0:
         return np.full(len(expected), np.nan)
-    squares = np.sum((stack.intensity - expected) ** 2, axis=(1, 2))
+    squares = np.sum((counts - expected) ** 2, axis=(1, 2))
     return squares / np.sum(expected, axis=(1, 2)) / free
 
 

@@ -78,7 +78,7 @@ def hio(
         raise ValueError(f"keep {keep} of {starts} starts: keep no more than there are")
     if not 0 < beta < np.inf:
         raise ValueError(f"beta {beta}: give a positive number, such as 0.9")
-    amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y, float), 0) / likelihood.irradiance)
+    amplitude = likelihood.amplitude(jnp.asarray(y, float))
     counts = starts, short, iterations, keep
     return _retrieve(likelihood.optics, amplitude, key, kind, counts, jnp.asarray(beta, float))
 

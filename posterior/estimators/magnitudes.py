@@ -47,6 +47,6 @@ def magnitudes(
     likelihood.camera.check(np.asarray(y))
     y = jnp.asarray(y, float)
     variance, _ = likelihood.noise(np.iscomplexobj(start), y)
-    amplitude = jnp.sqrt(jnp.maximum(y, 0) / likelihood.irradiance)
+    amplitude = likelihood.amplitude(y)
     start = jnp.asarray(start, complex if np.iscomplexobj(start) else float)
     return Magnitudes(likelihood.optics, amplitude, variance / likelihood.irradiance), start

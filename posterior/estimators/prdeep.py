@@ -109,7 +109,7 @@ def _descended(
 def _pull(posterior: Posterior, o: jax.Array) -> jax.Array:
     """Minus the gradient of || a - |H o| ||^2 / 2: H^H (a e^{j arg H o} - H o)."""
     likelihood = posterior.likelihood
-    amplitude = jnp.sqrt(jnp.maximum(posterior.y, 0) / likelihood.irradiance)
+    amplitude = likelihood.amplitude(posterior.y)
     field = likelihood.optics(o)
     return _object(posterior, likelihood.optics.adjoint(amplitude * jnp.sign(field) - field))
 

@@ -171,7 +171,11 @@ def minimised(
     tolerance: jax.Array | float,
     history: int,
 ) -> tuple[jax.Array, NamedTuple]:
-    """Where `cost`, which gives value and gradient, is least near `v`, and the solver's state."""
+    """Where `cost`, which gives value and gradient, is least near `v`, and the solver's state.
+
+    Where no step down is found along the direction that the history suggests, the history is
+    forgotten; it ends where none is found along the gradient either.
+    """
     solver = jaxopt.LBFGS(
         cost,
         value_and_grad=True,
@@ -182,7 +186,24 @@ def minimised(
         implicit_diff=False,
         unroll=False,
     )
-    return solver.run(v)
+
+    def goes_on(carry: tuple[jax.Array, NamedTuple, jax.Array]) -> jax.Array:
+        _, state, fresh = carry
+        stuck = state.failed_linesearch & fresh
+        return (state.iter_num < iterations) & (state.error > tolerance) & ~stuck
+
+    def step(carry: tuple[jax.Array, NamedTuple, jax.Array]) -> tuple:
+        v, state, _ = carry
+        forget = state.failed_linesearch
+
+        def anew() -> NamedTuple:
+            return solver.init_state(v)._replace(iter_num=state.iter_num)
+
+        state = jax.lax.cond(forget, anew, lambda: state)
+        return *solver.update(v, state), forget
+
+    # The first direction is the gradient itself.
+    return jax.lax.while_loop(goes_on, step, (v, solver.init_state(v), jnp.asarray(True)))[:2]
 
 
 # ---- where to start ------------------------------------------------------------------------------
@@ -203,7 +224,7 @@ def bright_fields(optics: FourierPtychography) -> np.ndarray:
 def _bright_field(
     likelihood: IntensityLikelihood, optics: FourierPtychography, y: ArrayLike
 ) -> jax.Array:
-    amplitude = jnp.sqrt(jnp.maximum(jnp.asarray(y), 0) / likelihood.irradiance)
+    amplitude = likelihood.amplitude(jnp.asarray(y))
     low, bright = optics.low_shape, bright_fields(optics)
     mean = amplitude[bright if bright.any() else slice(None)].mean(axis=0)
     mean = jnp.pad(mean, [(r, r) for r in optics.rim], mode="symmetric")

@@ -13,10 +13,18 @@ from .applications import (
     Application,
     Question,
 )
+from .colour import COLOURS
 from .exposure import prior_scale
 from .objects import complex_object
-from .optics import aperture_grid
-from .prior import PRIOR_PICTURES, best_sampler, is_trained, scout_of, weights_card
+from .optics import LEDS, aperture_grid
+from .prior import (
+    PRIOR_PICTURES,
+    best_sampler,
+    is_shipped,
+    is_trained,
+    scout_of,
+    weights_card,
+)
 from .questions import measured, record, simulate
 from .recordings import picture_of
-from .samplers import SAMPLERS, Sampling, learned_annealing, start_of
+from .samplers import SAMPLERS, STARTS, Sampling, learned_annealing, sampler_of, start_of

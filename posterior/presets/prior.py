@@ -9,9 +9,10 @@ from skimage import data as pictures
 
 from ..images import fit_to, read_picture, to_grey, to_unit_range
 from ..models.priors import EnergyPrior, GaussianField, Prior, ScorePrior
+from ..models.priors.planes import by_planes
 from ..models.priors.storage import card_of, shipped, shipped_names
 from .applications import APPLICATIONS, DENOISING, PHASE_RETRIEVAL, PTYCHOGRAPHY
-from .objects import complex_object
+from .objects import complex_object, refuse_complex
 from .samplers import SAMPLERS
 
 # Those that scikit-image carries in itself, and reads without a download.
@@ -26,22 +27,62 @@ _SAME_PICTURE = 0.99  # correlation
 
 def is_trained(prior: str | None) -> bool:
     """Whether `prior` names trained weights and not pictures."""
-    return prior is not None and (prior in shipped_names() or prior.endswith(".safetensors"))
+    return prior is not None and (is_shipped(prior) or prior.endswith(".safetensors"))
+
+
+def is_shipped(prior: str | None) -> bool:
+    """Whether weights of this name, short or whole, come with the project."""
+    return prior in shipped_names() or prior in shipped()
+
+
+def channels_of(prior: str | None, needs: str) -> int:
+    """Channels of a picture that the prior takes together: 3 in colour; complex ones have 2."""
+    return weights_card(prior, needs)["network"]["channels"] if is_trained(prior) else 1
+
+
+def of_complex_objects(
+    name: str, prior: str | None, needs: str, picture: np.ndarray | None = None
+) -> bool:
+    """Whether the objects are complex: of phase retrieval where the weights' or the pictures' are.
+
+    `picture`: of the object itself, where it is known; it tells of a prior that is fitted.
+    """
+    if name != PHASE_RETRIEVAL:
+        return name == PTYCHOGRAPHY
+    if is_trained(prior):
+        return weights_card(prior, needs)["statistics"].get("complex_valued", False)
+    if picture is not None and np.iscomplexobj(picture):
+        return True
+    return prior is not None and any(map(np.iscomplexobj, _pictures_at(prior).values()))
 
 
 def prior_of(
     name: str,
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     prior: str | None,
     truth: np.ndarray | None,
     needs: str,
+    complex_valued: bool,
 ) -> tuple[Prior, dict[str, str]]:
-    """The prior that is asked for, and what it was made from, with hashes."""
-    if not is_trained(prior):
-        return _fitted_prior(name, shape, prior, truth)
+    """The prior that is asked for, and what it was made from, with hashes.
+
+    Of an object (h, w, 3) a grey one is taken by planes.
+    """
+    planes = len(shape) == 3 and channels_of(prior, needs) == 1
+    own = shape[:2] if planes else shape
+    if is_trained(prior):
+        found, made_of = _trained_prior(name, own, prior, needs, complex_valued)
+    else:
+        found, made_of = _fitted_prior(name, own, prior, truth, complex_valued)
+    return by_planes(found) if planes else found, made_of
+
+
+def _trained_prior(
+    name: str, shape: tuple[int, ...], prior: str, needs: str, complex_valued: bool
+) -> tuple[Prior, dict[str, str]]:
     card = weights_card(prior, needs)
     kind = EnergyPrior if card["kind"] == "energy" else ScorePrior
-    dtype = complex if name == PTYCHOGRAPHY else float
+    dtype = complex if complex_valued else float
     found = kind.load(prior, shape, card["statistics"]["perturbation"], dtype)
     made_of = {Path(prior).name: card["sha256"]}
     if name == PHASE_RETRIEVAL and scout_of(prior) != prior:
@@ -49,12 +90,26 @@ def prior_of(
     return found, made_of
 
 
-# What a sampler needs, and the kind and perturbation of the weights that have it.
-_NEEDS = {"score": "score", "density": "density", "counts": "denoiser of counts"}
+# What a sampler needs, and the kind and perturbation of the weights that have it; annealing takes
+# the score of the signal-dependent error too.
+_NEEDS = {
+    "annealed score": "score",
+    "score": "score of the gaussian error",
+    "density": "density",
+    "counts": "denoiser of counts",
+}
 _WEIGHTS = {
+    "annealed score": ("score", "gaussian"),
     "score": ("score", "gaussian"),
     "density": ("energy", "gaussian"),
     "counts": ("score", "poisson"),
+}
+_HAVE = {
+    ("score", "gaussian"): ("annealed score", "score"),
+    ("energy", "gaussian"): ("annealed score", "score", "density"),
+    ("score", "signal"): ("annealed score",),
+    ("energy", "signal"): ("annealed score", "density"),
+    ("score", "poisson"): ("counts",),
 }
 
 
@@ -65,8 +120,7 @@ def weights_card(prior: str, needs: str) -> dict[str, Any]:
         return card_of(prior, kind, perturbation)
     card = card_of(prior)
     found = card["kind"], card["statistics"]["perturbation"]
-    has = [need for need, weights in _WEIGHTS.items() if weights == found]
-    has += ["score"] if "density" in has else []
+    has = _HAVE.get(found, ())
     if needs not in has:
         fit = [name for name, sampling in SAMPLERS.items() if sampling.needs in has]
         remedy = f"use --sampler {' or '.join(fit)}, or " if fit else ""
@@ -99,19 +153,25 @@ def best_sampler(name: str, prior: str | None) -> str:
 
 
 def _fitted_prior(
-    name: str, shape: tuple[int, int], path: str | None, truth: np.ndarray | None
+    name: str,
+    shape: tuple[int, ...],
+    path: str | None,
+    truth: np.ndarray | None,
+    complex_valued: bool,
 ) -> tuple[GaussianField, dict[str, str]]:
     """A Gaussian field fitted to pictures, the truth itself left out; their names and hashes."""
     found = _shipped_pictures() if path is None else _pictures_at(path)
+    if truth is not None and truth.ndim == 3:
+        truth = to_grey(truth)
     side = max(*shape, _LEAST_FIT)
     objects = {}
     for label, picture in found.items():
-        fitted = _prior_object(name, label, picture, side)
+        fitted = _prior_object(name, label, picture, side, complex_valued)
         if truth is None or not _same_picture(fitted, truth):
             objects[label] = fitted
     if not objects:
         raise ValueError(f"{path} holds only the picture that is asked for: give a prior of others")
-    kind = complex if name == PTYCHOGRAPHY else float
+    kind = complex if complex_valued else float
     field = GaussianField.fit(list(objects.values()), shape, kind)
     return field, {k: hashlib.sha256(v.tobytes()).hexdigest() for k, v in objects.items()}
 
@@ -130,17 +190,19 @@ def _pictures_at(path: str) -> dict[str, np.ndarray]:
     return {f.name: read_picture(f) for f in files}
 
 
-def _prior_object(name: str, label: str, picture: np.ndarray, side: int) -> np.ndarray:
+def _prior_object(
+    name: str, label: str, picture: np.ndarray, side: int, complex_valued: bool
+) -> np.ndarray:
     """A prior picture brought to the scale of the object, and to its kind."""
     try:
         if not np.iscomplexobj(picture):
             picture = to_grey(to_unit_range(picture))
-        elif name != PTYCHOGRAPHY:
-            raise ValueError(f"it is complex: {name} is of real objects, save its modulus")
+        else:
+            refuse_complex(name, complex_valued)
         fitted = fit_to(picture, min(side, *picture.shape))
     except ValueError as error:
         raise ValueError(f"prior picture {label}: {error}") from error
-    compose = name == PTYCHOGRAPHY and not np.iscomplexobj(fitted)
+    compose = complex_valued and not np.iscomplexobj(fitted)
     return complex_object(fitted) if compose else fitted
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..models.camera import Poisson
 from .applications import DENOISING, LEAST_SIDE, PHASE_RETRIEVAL, PTYCHOGRAPHY
-from .optics import GRID, upsampling_of
+from .optics import LEDS, upsampling_of
 
 
 def normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
@@ -21,16 +21,21 @@ def normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
 
 
 def object_shape(
-    name: str, y: np.ndarray, size: int | None, oversampling: int | None
-) -> tuple[int, int]:
+    name: str,
+    y: np.ndarray,
+    size: int | None,
+    oversampling: int | None,
+    leds: int | None = None,
+    in_colour: bool = False,
+) -> tuple[int, ...]:
     """Shape of the object behind a recording; raises ValueError for one that has none."""
     if name == PTYCHOGRAPHY:
-        return _shape_from_stack(y, size)
+        return _shape_from_stack(y, size, leds)
     if size is not None:
         raise ValueError(f"size {size}: a recording has its own size, leave out --size")
-    if y.ndim != 2:
+    if y.ndim != 2 and not (in_colour and y.shape[2:] == (3,)):
         raise ValueError(f"a recording of shape {y.shape}: give (height, width), one grey page")
-    if min(y.shape) < LEAST_SIDE:
+    if min(y.shape[:2]) < LEAST_SIDE:
         raise ValueError(f"a recording of shape {y.shape}: give {LEAST_SIDE} pixels a side")
     if name == DENOISING:
         return y.shape
@@ -50,10 +55,12 @@ def _refuse_centred(y: np.ndarray) -> None:
         )
 
 
-def _shape_from_stack(y: np.ndarray, size: int | None) -> tuple[int, int]:
-    if y.ndim != 3 or len(y) != GRID**2 or y.shape[1] != y.shape[2]:
+def _shape_from_stack(y: np.ndarray, size: int | None, leds: int | None) -> tuple[int, int]:
+    counts = LEDS if leds is None else (leds,)
+    if y.ndim != 3 or len(y) not in counts or y.shape[1] != y.shape[2]:
         raise ValueError(
-            f"a recording of shape {y.shape}: give ({GRID**2}, n, n), one square page a LED"
+            f"a recording of shape {y.shape}: give ({' or '.join(map(str, counts))}, n, n), one "
+            "square page a LED"
         )
     low = y.shape[1]
     size = 4 * low if size is None else size
@@ -66,12 +73,12 @@ def _shape_from_stack(y: np.ndarray, size: int | None) -> tuple[int, int]:
 
 
 def picture_of(name: str, y: np.ndarray) -> tuple[np.ndarray, str]:
-    """A recording (h, w) to look at, and its heading: logarithm, or mosaic of amplitudes."""
+    """A recording (h, w[, 3]) to look at, and its heading: logarithm, or mosaic of amplitudes."""
     if name == PHASE_RETRIEVAL:
         faintest = np.min(y[y > 0], initial=1.0)
         return np.log10(np.maximum(np.fft.fftshift(y), faintest)), "recording (log)"
     if name == PTYCHOGRAPHY:
-        side = min(GRID, math.isqrt(len(y)))
+        side = math.isqrt(len(y))
         rows = np.sqrt(y[: side**2]).reshape(side, side, *y.shape[1:])
         # Every LED on its own scale: the outer ones are dark fields.
         rows = rows / np.maximum(rows.max(axis=(2, 3), keepdims=True), 1e-12)

@@ -34,13 +34,17 @@ from ..starts import annealed, by_admm, for_ptychography, from_magnitudes, has_m
 class Sampling(NamedTuple):
     """How a named sampler is built for a posterior, and how much it draws if nothing is said.
 
-    `needs`, of the prior: its "density", its "score" alone, or the denoiser of "counts".
+    `needs`, of the prior: its "density", its "score" alone, the "annealed score", which may be of
+    the signal-dependent error, or the denoiser of "counts".
     """
 
     build: Callable[[Posterior], Sampler]
     draws: int
     thin: int
     needs: str = "density"
+
+
+STARTS = ("none", "hio", "admm")
 
 
 def _ula(posterior: Posterior) -> ULA:
@@ -53,7 +57,9 @@ def _ula(posterior: Posterior) -> ULA:
 _ANNEALED = {"levels": 200, "steps": 5}
 
 
-def learned_annealing(posterior: Posterior, path: str = "convolved") -> AnnealedLangevin:
+def learned_annealing(
+    posterior: Posterior, path: str = "convolved", begin: str | None = None
+) -> AnnealedLangevin:
     """Annealing for score networks, with settings chosen on held-out pictures.
 
     It ends in a descent by the prior: for a picture itself from twice the network's finest level,
@@ -62,7 +68,8 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
     times the noise, from the ends of ADMM (`starts.by_admm`; at half the sd of a channel, where
     those of complex objects begin, annealing loses its valley: 3 dB); other fields at 15 times
     the noise, for in the lowest frequencies quasi-Newton is that far off: 12 of 16384 held 76 % of
-    its draws' error at sigma_0 = 0.2.
+    its draws' error at sigma_0 = 0.2. `begin`: where chains start, if not there (`start_of`); with
+    "none" annealing begins at the prior's own scale.
     """
     prior, steps = posterior.prior, {"steps": 4, "path": path}
     if prior.perturbation == "signal":
@@ -73,8 +80,11 @@ def learned_annealing(posterior: Posterior, path: str = "convolved") -> Annealed
         return AnnealedLangevin(levels=45, sigma_min=2 * prior.finest, **steps)
     noise = float(posterior.data_level())
     finest = max(0.4 * noise, prior.finest)
-    if has_magnitudes(posterior.likelihood.optics):
-        broadest = 4 * noise if _by_admm(posterior) else float(prior.scale) / 2
+    if begin == "none":
+        broadest = float(posterior.annealing_range(path)[0])
+    elif has_magnitudes(posterior.likelihood.optics):
+        admm = _by_admm(posterior) if begin is None else begin == "admm"
+        broadest = 4 * noise if admm else float(prior.scale) / 2
     else:
         broadest = min(max(float(prior.scale), 15 * noise), prior.statistics.sigma_max)
     if path == "split":
@@ -89,10 +99,20 @@ def _annealed_sampler(posterior: Posterior, path: str = "convolved") -> Annealed
     return AnnealedLangevin(**_ANNEALED, path=path, polish=200)
 
 
+def sampler_of(name: str, posterior: Posterior, begin: str | None = None) -> Sampler:
+    """The named sampler for a posterior, whose chains start as `start_of` says of `begin`."""
+    learned = isinstance(posterior.prior, ScorePrior) and name in ("annealed", "annealed-split")
+    if begin is None or not learned:
+        return SAMPLERS[name].build(posterior)
+    return learned_annealing(posterior, "split" if name == "annealed-split" else "convolved", begin)
+
+
 SAMPLERS = {
     "mala": Sampling(lambda _: MALA(), 500, 25),
-    "annealed": Sampling(_annealed_sampler, 25, 1, needs="score"),
-    "annealed-split": Sampling(partial(_annealed_sampler, path="split"), 25, 1, needs="score"),
+    "annealed": Sampling(_annealed_sampler, 25, 1, needs="annealed score"),
+    "annealed-split": Sampling(
+        partial(_annealed_sampler, path="split"), 25, 1, needs="annealed score"
+    ),
     "ula": Sampling(_ula, 500, 10, needs="score"),
     "split-gibbs": Sampling(lambda _: SplitGibbs(), 25, 1, needs="score"),
     "daps": Sampling(lambda _: DAPS(), 25, 1, needs="score"),
@@ -115,6 +135,7 @@ def start_of(
     progress: bool = False,
     measured: bool = False,
     scout: LearnedPrior | None = None,
+    begin: str | None = None,
 ) -> np.ndarray | None:
     """Where the chains of a named sampler start, (chains, *shape); None: at its own choice.
 
@@ -125,7 +146,12 @@ def start_of(
     is a dark field from an annealing run from there, and a `measured` stack from halves of itself.
     `scout`: a prior that searches better than the posterior's (`scout_of`), for ADMM.
     "split" cannot travel at all.
+
+    `begin`, of phase retrieval alone, None as above: "none", at the sampler's own choice; "hio",
+    the search from hybrid input-output; "admm". Raises ValueError where that is not to be had.
     """
+    if begin is not None:
+        return _phase_start(begin, sampler, posterior, key, chains, progress, scout)
     magnitudes = has_magnitudes(posterior.likelihood.optics)
     if posterior.likelihood.linear:
         if sampler != "annealed-split":
@@ -146,6 +172,33 @@ def start_of(
         return None
     search = from_magnitudes if magnitudes else annealed
     return search(posterior, AnnealedLangevin(**_ANNEALED), key, chains, progress=progress)
+
+
+def _phase_start(
+    begin: str,
+    sampler: str,
+    posterior: Posterior,
+    key: jax.Array,
+    chains: int,
+    progress: bool,
+    scout: LearnedPrior | None,
+) -> np.ndarray | None:
+    """As `begin` says, one of `STARTS`."""
+    if begin not in STARTS or not has_magnitudes(posterior.likelihood.optics):
+        raise ValueError(f"start {begin!r}: phase retrieval alone takes one of {', '.join(STARTS)}")
+    learned = isinstance(posterior.prior, LearnedPrior)
+    if begin == "none":
+        if sampler == "annealed-split":
+            raise ValueError("start none: annealed-split cannot travel, use hio, or annealed")
+        return None
+    if begin == "admm":
+        if not learned or not _by_admm(posterior):
+            raise ValueError("start admm: it needs a learnt prior of real objects, use hio")
+        return by_admm(posterior, key, chains, progress, scout)
+    annealing = AnnealedLangevin(**_ANNEALED)
+    if learned:
+        annealing = learned_annealing(posterior, begin=begin)
+    return from_magnitudes(posterior, annealing, key, chains, progress)
 
 
 def _by_admm(posterior: Posterior) -> bool:

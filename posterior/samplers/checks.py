@@ -1,5 +1,6 @@
 """What samplers refuse alike, each in one sentence."""
 
+from ..models.priors import ScorePrior
 from ..problem import Posterior
 from .base import Sampler
 
@@ -8,7 +9,9 @@ def check_gaussian(sampler: Sampler, posterior: Posterior) -> None:
     """Refuse a prior whose annealing error is not the Gaussian one."""
     perturbation = posterior.prior.perturbation
     if perturbation != "gaussian":
-        others = {"signal": "MALA, or AnnealedLangevin without a descent", "poisson": "Thickening"}
+        others = {"signal": "AnnealedLangevin without a descent", "poisson": "Thickening"}
+        if not isinstance(posterior.prior, ScorePrior):
+            others["signal"] += ", or MALA"
         raise ValueError(
             f"the prior has the {perturbation!r} perturbation: give {type(sampler).__name__} one "
             f"with the gaussian, or use {others[perturbation]}"

@@ -1,5 +1,7 @@
 """Learned priors: with an exact network in place they must be the analytic prior, exactly."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,7 @@ from posterior.models.priors.perturbation import (
 from posterior.models.priors.pictures import Pictures
 from posterior.models.priors.training import Recipe, patch_loss
 from posterior.models.realview import to_real
+from posterior.samplers.checks import check_gaussian
 
 KINDS = {"score": ScorePrior, "energy": EnergyPrior}
 SHAPE = (4, 6)
@@ -68,6 +71,36 @@ def test_denoising_is_the_mean_given_the_noisy_object(x64, kind, dtype):
     variance = variance / 4 if dtype is complex else variance
     expected = mean + 0.25**2 / (0.25**2 + variance) * (x - mean)
     np.testing.assert_allclose(learned(kind, dtype).denoise(x, 0.2), expected, rtol=1e-9)
+
+
+def test_data_in_other_units_than_the_prior_are_refused(x64):
+    """A picture of 0..255 is; one of 0..1 is not, however noisy, nor one through gain."""
+    prior = learned("score", float)
+    picture = np.abs(np.asarray(analytic(float).sample(jax.random.key(0))))
+    for gain, scale, sigma, refused in (
+        (1, 1, 0.1, False),
+        (1, 1, 30.0, False),
+        (1, 255, 0.1, True),
+        (255, 255, 0.1, False),
+    ):
+        optics = models.Blur(SHAPE, np.full((1, 1), float(gain)))
+        likelihood = models.LinearLikelihood(optics, models.Gaussian(sigma))
+        y = scale * picture + sigma * np.random.default_rng(0).standard_normal(SHAPE)
+        if refused:
+            with pytest.raises(ValueError, match="divide data and noise by their full scale"):
+                ps.Problem(likelihood, prior).condition(y)
+        else:
+            ps.Problem(likelihood, prior).condition(y)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sampler_of_the_gaussian_error_says_what_takes_the_other(kind):
+    """MALA needs a density, which a score network has not."""
+    denoiser = wiener(kind, dtype="float32", perturbation="signal", lowest=0.01)
+    posterior = SimpleNamespace(prior=KINDS[kind](denoiser, SHAPE))
+    with pytest.raises(ValueError, match="or use AnnealedLangevin without a descent") as caught:
+        check_gaussian(ps.samplers.Kawar(), posterior)
+    assert ("MALA" in str(caught.value)) == (kind == "energy")
 
 
 # ---- the signal-dependent error, folded ----------------------------------------------------------

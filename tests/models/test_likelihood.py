@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from posterior import models
 from posterior.models.realview import from_real, to_real
@@ -47,6 +48,12 @@ CASES = {
     "intensity, 8 bits, irradiance": lambda: (
         models.IntensityLikelihood(
             models.Matrix(COMPLEX_MATRIX), models.Poisson(500, bits=8), np.linspace(0.2, 0.5, 7)
+        ),
+        RNG_OBJECT / 2,
+    ),
+    "intensity, counts, background": lambda: (
+        models.IntensityLikelihood(
+            models.Matrix(COMPLEX_MATRIX), models.Poisson(100), 0.3, np.linspace(0, 0.2, 7)
         ),
         RNG_OBJECT / 2,
     ),
@@ -177,7 +184,9 @@ def test_annealed_score_by_the_signal_dependent_error_ends_at_the_exact_score(x6
     np.testing.assert_allclose(found, likelihood.score(x, y), rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["intensity, counts", "intensity, counts, real"])
+@pytest.mark.parametrize(
+    "name", ["intensity, counts", "intensity, counts, real", "intensity, counts, background"]
+)
 def test_annealed_score_of_intensities_ends_at_the_exact_score(x64, name):
     likelihood, x = case(name)
     y = likelihood.simulate(jax.random.key(1), x)
@@ -199,6 +208,33 @@ def test_a_saturated_pixel_says_only_that_it_is_bright(x64, camera):
     field = jnp.sqrt(x) * np.exp(0.3j)
     error = (intensity.annealed_score(field, y, 1e-6) - intensity.score(field, y)) * sd / 2
     assert jnp.abs(error).max() < 0.08
+
+
+def test_background_is_light_beside_that_of_the_object(x64):
+    """Against scipy's counts; an amplitude is of the light that is left."""
+    background = np.array([0.0, 0.1, 0.5])
+    camera, optics = models.Poisson(100), models.Identity((3,))
+    likelihood = models.IntensityLikelihood(optics, camera, 0.4, background)
+    x, y = jnp.asarray([0.6 + 0.2j, 0.9j, 0.3]), np.array([0.2, 0.45, 0.49])
+    light = 0.4 * np.abs(x) ** 2 + background
+    np.testing.assert_allclose(likelihood.expected(x), light, rtol=1e-12)
+    expected = stats.poisson.logpmf(np.rint(100 * y), 100 * light).sum()
+    np.testing.assert_allclose(likelihood.log_prob(x, y), expected, rtol=1e-10)
+    found = likelihood.amplitude(y)
+    np.testing.assert_allclose(found, np.sqrt([0.2 / 0.4, 0.35 / 0.4, 0]), rtol=1e-12)
+
+
+def test_amplitudes_beside_a_background_have_the_noise_of_all_counts(x64):
+    """Of 4e4 simulated sqrt(y - background), to 4 sd of their variance and its second order."""
+    camera, optics = models.Poisson(10000), models.Identity((2,))
+    likelihood = models.IntensityLikelihood(optics, camera, 1.0, np.array([0.05, 0.4]))
+    x = jnp.asarray([0.5, 0.6])
+    draws = jax.vmap(lambda key: likelihood.simulate(key, x))(
+        jax.random.split(jax.random.key(0), 40000)
+    )
+    found = np.asarray(jax.vmap(likelihood.amplitude)(draws)).var(axis=0)
+    variance, _ = likelihood.noise(False, likelihood.expected(x))
+    np.testing.assert_allclose(found, variance, rtol=4 * np.sqrt(2 / 40000) + 0.001)
 
 
 @pytest.mark.parametrize("x64_object", [0.7 + 0.2j])
@@ -258,10 +294,17 @@ def test_a_complex_field_before_a_counting_camera_is_refused():
         likelihood.expected(jnp.ones(4))
 
 
+def with_background(background):
+    return models.IntensityLikelihood(models.Identity((2,)), models.Poisson(9), 1.0, background)
+
+
 @pytest.mark.parametrize(
     "build, sentence",
     [
         (lambda: models.IntensityLikelihood(models.Identity((2,)), models.Poisson(9), -1.0), "-1"),
+        (lambda: with_background(-0.1), "background -0.1: it must be finite, and 0 or more"),
+        (lambda: with_background([0.1, np.nan]), "background nan"),
+        (lambda: with_background(np.zeros(3)), r"background of shape \(3,\) for data of shape"),
         (lambda: models.LinearLikelihood(models.Poisson(9), models.Poisson(9)), "optics is a"),
         (lambda: models.LinearLikelihood(models.Identity((2,)), 100.0), "camera is a float"),
     ],

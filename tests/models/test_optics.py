@@ -449,6 +449,11 @@ BAD = [
     (lambda: FourierPtychography.from_radius((8, 8), [[0, 0]], -1, 2), "radius .* got -1"),
     (lambda: FourierPtychography.from_radius((8, 9), [[0, 0]], 1, 2), r"2 must divide .*\(8, 9\)"),
     (lambda: FourierPtychography.from_radius((8, 8), [[9, 0]], 1, 2), r"centre \(9, 0\)"),
+    (
+        lambda: FourierPtychography.from_radius((8, 8), [[0, 0], [1, 0], [0, 0]], 1, 2),
+        "LEDs 0 and 2 are in the same direction: add their images up",
+    ),
+    (lambda: microscope(led_na=[[0.1, 0.0], [0.1, 0.0]]), "LEDs 0 and 1 are in the same"),
     (lambda: microscope(upsampling=0), "upsampling .* got 0"),
     (lambda: microscope(na=0.0), r"na .* got 0\.0"),
     (lambda: microscope(na=1.6), r"na .* got 1\.6"),

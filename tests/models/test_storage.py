@@ -91,6 +91,20 @@ def test_renamed_file_without_its_card_is_refused(weights, tmp_path):
         ScorePrior.load(moved, SHAPE)
 
 
+def test_weights_renamed_with_their_card_are_refused(weights, tmp_path):
+    change_card(weights, name="small")
+    assert load_denoiser(weights, "score", "gaussian").statistics.mean == 0.3
+    for ending in (".safetensors", ".json"):
+        weights.with_suffix(ending).rename(tmp_path / f"large{ending}")
+    with pytest.raises(ValueError, match=r"named 'small': call the two files small.safetensors"):
+        ScorePrior.load(tmp_path / "large.safetensors", SHAPE)
+
+
+def test_shipped_weights_are_found_by_their_whole_name():
+    found = load_denoiser("nuclei-signal-score", "score", "signal")
+    assert found.statistics.perturbation == "signal"
+
+
 def test_pickles_are_never_opened(weights):
     class Trap:
         def __reduce__(self):

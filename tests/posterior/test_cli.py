@@ -1,5 +1,6 @@
 """The command line from end to end: every result, every refusal, and the same draws again."""
 
+import dataclasses
 import functools
 import json
 import os
@@ -16,6 +17,7 @@ from posterior import cli, models, presets, starts
 from posterior.cli.options import Options
 from posterior.cli.run import _scout
 from posterior.cli.words import doubts
+from posterior.diagnostics.plots import overview
 from posterior.images import read_picture
 from posterior.models.priors.storage import FOLDER, card_of
 
@@ -27,6 +29,7 @@ LEARNED = [
     ("ptychography", "complex-cells"),
 ]
 NUCLEI = str(FOLDER / "nuclei-gaussian-score.safetensors")
+SIGNAL = str(FOLDER / "nuclei-signal-score.safetensors")
 FILES = {"draws.nc", "figure.png", "settings.json"}
 REAL = FILES | {"mean.tif", "sd.tif"}
 COMPLEX = FILES | {f"{a}_{b}.tif" for a in ("mean", "sd") for b in ("amplitude", "phase")}
@@ -61,6 +64,8 @@ def folder(tmp_path_factory):
     tifffile.imwrite(path / "deep.tif", (65535 * _smooth(16)).astype(np.uint16))
     pages = np.stack([(255 * _smooth(16)).astype(np.uint8) for _ in range(2)])
     tifffile.imwrite(path / "pages.tif", pages, photometric="minisblack")
+    colours = np.stack([_smooth(16) for _ in range(3)], axis=-1)
+    Image.fromarray((255 * colours).astype(np.uint8)).save(path / "colour.png")
     np.save(path / "specimen.npy", presets.complex_object(_smooth(16)))
     np.save(path / "counts.npy", RNG.poisson(60 * _smooth(16)) / 100)
     np.save(path / "codes.npy", RNG.poisson(60 * _smooth(16)).astype(np.uint8))
@@ -192,6 +197,61 @@ def test_tiff_pictures(folder, tmp_path, image, page):
     assert np.corrcoef(truth.ravel(), data.ravel())[0, 1] > 0.8
 
 
+@pytest.mark.slow
+def test_a_picture_in_colour_by_planes(folder, tmp_path):
+    out = tmp_path / "run"
+    _run(folder, out, "--colour", "planes", image="colour.png")
+    draws = ps.load(out / "draws.nc")
+    assert draws.values.shape == (4, 6, 16, 16, 3)
+    np.testing.assert_allclose(read_picture(out / "mean.tif"), draws.mean, atol=1e-5)
+
+
+def test_a_figure_shows_colours(tmp_path):
+    """Grey alone would leave the panels of the truth and the recording without any."""
+    truth = np.stack([_smooth(16) for _ in range(3)], axis=-1)
+    overview(tmp_path / "figure.png", truth, truth, [truth] * 2, truth, sd=truth, width=truth)
+    shown = np.asarray(Image.open(tmp_path / "figure.png").convert("RGB")).astype(int)
+    left = shown[:, : shown.shape[1] // 3]  # truth above, a draw below; no map of a spread
+    assert np.mean(np.ptp(left, axis=-1) > 10) > 0.2
+
+
+@pytest.mark.parametrize(
+    "prior, colour, shape",
+    [("faces", None, (16, 16, 3)), (None, "planes", (16, 16, 3)), (None, "luminance", (16, 16))],
+)
+def test_colours_are_kept_as_prior_and_user_say(prior, colour, shape):
+    picture = np.stack([_smooth(16) for _ in range(3)], axis=-1)
+    camera, given = models.Poisson(100), {"prior": prior, "colour": colour}
+    question = presets.simulate("denoising", picture, camera, jax.random.key(0), **given)
+    assert question.truth.shape == question.problem.prior.shape == shape
+    if len(shape) == 3:
+        np.testing.assert_array_equal(question.truth, picture)
+        again = presets.record("denoising", question.y, camera, **given)
+        assert again.problem.prior.shape == shape
+    # Grey that was saved as colour is grey, and nothing is asked.
+    if prior is None:
+        grey = np.stack([picture[..., 0]] * 3, axis=-1)
+        plain = presets.simulate("denoising", grey, camera, jax.random.key(0))
+        assert plain.truth.shape == (16, 16)
+
+
+def test_phase_retrieval_of_a_complex_object():
+    """Under complex weights, of a complex picture or a grey one; or under a field of complex."""
+    specimen = presets.complex_object(_smooth(16))
+    camera, key = models.Poisson(10_000), jax.random.key(0)
+    for picture, prior in (
+        (specimen, "complex-cells"),
+        (_smooth(16), "complex-cells"),
+        (specimen, None),
+    ):
+        question = presets.simulate("phase-retrieval", picture, camera, key, prior=prior)
+        assert np.iscomplexobj(question.truth) and question.problem.prior.complex_valued
+    again = presets.record("phase-retrieval", question.y, camera, prior="complex-cells")
+    assert again.problem.prior.complex_valued
+    with pytest.raises(ValueError, match="give a prior of complex ones, as --prior complex-cells"):
+        presets.simulate("phase-retrieval", specimen, camera, key, prior="natural")
+
+
 def test_a_recording_has_no_truth(folder, tmp_path, capsys):
     out = tmp_path / "run"
     extra = ("--data", folder / "counts.npy", "--full-well", 100)
@@ -280,9 +340,13 @@ def test_the_prior_never_sees_the_truth(name):
     assert sorted({*presets.PRIOR_PICTURES} - {*question.prior}) == ["camera"]
 
 
-@pytest.mark.parametrize("size", [16, 32, 48, 64, 128, 256])
-def test_the_aperture_grid_fits_and_overlaps(size):
-    centres, radius = presets.aperture_grid(size)
+@pytest.mark.parametrize(
+    "size, leds",
+    [*((size, 49) for size in (16, 32, 48, 64, 128, 256)), (16, 9), (64, 9), (32, 225), (128, 225)],
+)
+def test_the_aperture_grid_fits_and_overlaps(size, leds):
+    centres, radius = presets.aperture_grid(size, leds)
+    assert centres.shape == (leds, 2)
     upsampling = 4 if size >= 64 else 2
     models.FourierPtychography.from_radius((size, size), centres, radius, upsampling)
     half = (centres[1] - centres[0])[1] / radius / 2
@@ -328,6 +392,22 @@ def test_several_modes_and_data_that_are_not_explained_are_told():
     assert "12 times as far from them as its noise allows" in misfit
 
 
+@pytest.mark.parametrize("prior", ["nuclei-signal-score", SIGNAL])
+def test_the_signal_dependent_score_is_annealed(prior):
+    options = Options("denoising", image="x.png", prior=prior)
+    assert options.resolved().sampler == "annealed"
+    dataclasses.replace(options, sampler="annealed-split").resolved()
+    with pytest.raises(ValueError, match="needs a score of the gaussian error: use --sampler ann"):
+        dataclasses.replace(options, sampler="ula").resolved()
+    camera, picture = models.Poisson(100), _smooth(16)
+    question = presets.simulate(
+        "denoising", picture, camera, jax.random.key(0), prior=prior, needs="annealed score"
+    )
+    assert question.problem.prior.perturbation == "signal"
+    sampler = presets.sampler_of("annealed", question.problem.condition(question.y))
+    assert sampler.descent == 0
+
+
 def test_nuclei_are_thickened_and_the_calibration_of_their_prior_is_told(folder, tmp_path, capsys):
     arguments = ("--image", folder / "picture.png", "--prior", "nuclei", "--out", tmp_path / "run")
     assert _main("sample", "denoising", *arguments, "--size", 16, "--draws", 2) == 0
@@ -355,6 +435,18 @@ def test_a_stack_that_photons_do_not_explain_is_doubted():
 def test_a_prior_without_a_calibration_is_told_as_such():
     (said,) = doubts({"rhat": 1.0}, "mala", {}, np.zeros((4, 4)))
     assert "holds no calibration" in said
+
+
+def test_a_faint_picture_is_told_before_the_work(folder, tmp_path, capsys, monkeypatch):
+    def no_work(*_):
+        assert "of the full well, the prior's pictures 1" in capsys.readouterr().err
+        raise ValueError("that is all")
+
+    monkeypatch.setattr("posterior.cli.run._draw", no_work)
+    np.save(folder / "faint.npy", RNG.poisson(5 * _smooth(16)) / 100)
+    given = ("--data", folder / "faint.npy", "--full-well", 100, "--prior", "nuclei")
+    assert _main("sample", "denoising", "--out", tmp_path / "run", *given) == 2
+    assert "that is all" in capsys.readouterr().err
 
 
 def test_a_picture_fainter_than_the_priors_is_told():
@@ -401,6 +493,12 @@ def _refused(capsys, *arguments, problem="denoising"):
         (["--image", "{}/picture.png", "--page", "4"], "page 4 .* it has one page"),
         (["--image", "{}/pages.tif"], "holds 2 pages: choose one with --page"),
         (["--image", "{}/specimen.npy"], "complex: denoising is of real objects"),
+        (["--image", "{}/colour.png"], "say --colour planes .*, --colour luminance"),
+        (["--image", "{}/picture.png", "--colour", "pink"], "give one of planes, luminance"),
+        (["--image", "{}/picture.png", "--prior", "faces"], "the prior is in colour: give .h"),
+        (["--image", "{}/colour.png", "--prior", "faces", "--colour", "planes"], "leave it out"),
+        (["--image", "{}/picture.png", "--leds", "9"], "--leds 9: only ptychography takes it"),
+        (["--image", "{}/picture.png", "--start", "hio"], "--start hio: only phase-retrieval"),
         (["--image", "{}/picture.png", "--irradiance", "2"], "irradiance 2.0: .* leave it out"),
         (["--image", "{}/picture.png", "--oversampling", "2"], "oversampling 2 is for phase"),
         (["--image", "{}/picture.png", "--prior", "{}/nowhere"], "nowhere: give the path"),
@@ -454,7 +552,10 @@ def _bad_inputs(folder):
         ("deblurring", "a.npy", _smooth(16), [], "unknown problem 'deblurring': use one of deno"),
         ("phase-retrieval", "a.npy", np.zeros((17, 16)), [], "oversampling 2 must divide it"),
         ("phase-retrieval", "a.npy", np.zeros((16, 16)), [], "dark everywhere"),
-        ("ptychography", "a.npy", np.zeros((48, 8, 8)), [], r"give \(49, n, n\)"),
+        ("ptychography", "a.npy", np.zeros((48, 8, 8)), [], r"give \(9 or 25 or 49 or .*, n, n\)"),
+        ("ptychography", "a.npy", np.zeros((49, 8, 8)), ["--leds", "9"], r"give \(9, n, n\)"),
+        ("ptychography", "a.npy", np.zeros((49, 8, 8)), ["--leds", "50"], "give one of 9, 25, 49"),
+        ("ptychography", "a.npy", np.zeros((225, 8, 8)), ["--size", "16"], "give 20 or more"),
         ("ptychography", "a.npy", np.zeros((49, 8, 8)), ["--size", "24"], "4 times as wide"),
     ],
 )
@@ -547,14 +648,15 @@ def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
     """Drawn, said, and drawn again; calibrated in a hurry."""
     hurried = functools.partial(presets.questions.calibrate, rounds=1, iterations=10)
     monkeypatch.setattr(presets.questions, "calibrate", hurried)
-    arguments = ("--prior", folder / "specimen.npy", "--electrons", 1, *SMALL)
+    arguments = ("--prior", folder / "specimen.npy", "--electrons", 1, "--background", *SMALL)
     out = tmp_path / "run"
     assert _main("sample", "ptychography", "--stack", stack, "--out", out, *arguments) == 0
     assert {f.name for f in out.iterdir()} == COMPLEX
     said = capsys.readouterr().out
     assert said.startswith("ptychography of stack.npz: mala") and "squared residual" in said
     microscope = json.loads((out / "settings.json").read_text())["microscope"]
-    assert {"electrons", "dispersion", "leds", "aberration"} == set(microscope)
+    assert {"electrons", "dispersion", "background", "leds", "aberration"} == set(microscope)
+    assert any(light > 0 for light in microscope["background"])
     assert np.allclose(microscope["electrons"], 1)
     # The rim is drawn, and not shown.
     shown = tifffile.imread(out / "mean_amplitude.tif").shape

@@ -191,6 +191,11 @@ def test_tiff_round_trip(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.tif"]
 
 
+def test_a_tiff_in_colour_is_read_as_one(tmp_path):
+    write_tiff(tmp_path / "a.tif", COLOUR / 255, colour=True)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.tif"), (COLOUR / 255).astype("f4"))
+
+
 def test_tiff_refuses_complex_and_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.tif"
     write_tiff(path, GREY / 255)

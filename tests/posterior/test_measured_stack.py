@@ -16,6 +16,8 @@ from posterior.stacks import dispersed, in_electrons, least_upsampling, read_sta
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.data,
+    # The values of its amplitudes are those of no camera: codes to the power of 3/4.
+    pytest.mark.filterwarnings("ignore:.*the array amplitude is squared:UserWarning"),
     pytest.mark.skipif("POSTERIOR_DATA" not in os.environ, reason="no study data"),
 ]
 WIDEST = 0.19  # NA of the LEDs that are used: 61 of 225

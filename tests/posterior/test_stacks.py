@@ -60,7 +60,7 @@ WRONG = Calibration(np.array([0.4, -0.3, 0.02, 0.015]), np.r_[0.6, 0.2, -0.15, 0
 
 def saved(path, **changes):
     arrays = {
-        "intensity": np.random.default_rng(0).random((2, 8, 8)),
+        "intensity": np.random.default_rng(0).integers(1, 256, (2, 8, 8)) / 255,
         "led_na": np.array([[0.0, 0.0], [0.03, -0.05]]),
         "na": 0.1,
         "wavelength": 0.6e-6,
@@ -98,7 +98,15 @@ def test_both_conventions_give_the_same_stack(tmp_path):
         ({"intensity": np.zeros((2, 8, 8))}, "image 0 is dark everywhere"),
         (
             {"intensity": None, "amplitude": np.ones((2, 8, 8), np.uint8)},
-            "amplitudes that are whole numbers",
+            "values that are evenly spaced, .* name it intensity",
+        ),
+        (
+            {"intensity": None, "amplitude": np.arange(1, 129).reshape(2, 8, 8) / 128},
+            "the array amplitude holds .* evenly spaced, .* name it intensity",
+        ),
+        (
+            {"intensity": np.sqrt(np.arange(1, 129, dtype=np.float32).reshape(2, 8, 8) / 128)},
+            "the array intensity holds .* squares are evenly spaced, .* name it amplitude",
         ),
         ({"led_na": np.zeros((2, 2))}, "LEDs 0 and 1 are in the same direction"),
         ({"led_na": np.zeros(2)}, r"led_na has shape \(2,\)"),
@@ -116,6 +124,31 @@ def test_both_conventions_give_the_same_stack(tmp_path):
 )
 def test_a_file_that_is_no_stack_is_refused(tmp_path, changes, sentence):
     with pytest.raises(ValueError, match=sentence):
+        read_stack(saved(tmp_path / "stack.npz", **changes))
+
+
+@pytest.mark.parametrize("well, bits", [(100, 8), (1000, None), (60_000, 12)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_wrong_name_is_known_by_the_steps_of_a_camera(tmp_path, well, bits, dtype):
+    """Counts in any unit, codes finer or coarser than electrons; either way round."""
+    rng = np.random.default_rng(1)
+    counts = rng.poisson(well * rng.uniform(0.2, 0.9, (2, 32, 32)))
+    top = well if bits is None else 2**bits - 1
+    intensity = 0.37 * np.rint(np.minimum(counts / well, 1) * top) / top
+    right = {"intensity": intensity, "amplitude": np.sqrt(intensity)}
+    for name, other in (("intensity", "amplitude"), ("amplitude", "intensity")):
+        kept, wrong = right[name].astype(dtype), right[other].astype(dtype)
+        found = read_stack(saved(tmp_path / "s.npz", **{other: None, name: kept})).intensity
+        np.testing.assert_allclose(found, intensity, rtol=1e-6)
+        with pytest.raises(ValueError, match=f"name it {other}"):
+            read_stack(saved(tmp_path / "s.npz", **{other: None, name: wrong}))
+
+
+@pytest.mark.parametrize("name", ["intensity", "amplitude"])
+def test_images_that_do_not_tell_their_name_are_warned_of(tmp_path, name):
+    changes = {"intensity": None, name: np.random.default_rng(0).random((2, 8, 8))}
+    done = {"intensity": "taken as it is", "amplitude": "squared"}[name]
+    with pytest.warns(UserWarning, match=f"the array {name} is {done}, and .* do not tell"):
         read_stack(saved(tmp_path / "stack.npz", **changes))
 
 

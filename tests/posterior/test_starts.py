@@ -235,6 +235,15 @@ def test_under_a_learned_prior_real_objects_start_from_admm_and_complex_ones_fro
         broadest = presets.learned_annealing(posterior).sigma_max
         near = 4 * float(posterior.data_level())
         assert broadest == (float(prior.scale) / 2 if complex_valued else near)
+        above = presets.sampler_of("annealed", posterior, "none")
+        assert above.sigma_max == float(posterior.annealing_range("convolved")[0])
+        assert presets.start_of("annealed", posterior, jax.random.key(1), 1, begin="none") is None
+        presets.start_of("annealed", posterior, jax.random.key(1), 1, begin="hio")
+        assert used.pop() == "from_magnitudes"
+        assert presets.sampler_of("annealed", posterior, "hio").sigma_max == float(prior.scale) / 2
+        if complex_valued:
+            with pytest.raises(ValueError, match="a learnt prior of real objects, use hio"):
+                presets.start_of("annealed", posterior, jax.random.key(1), 1, begin="admm")
         split = presets.learned_annealing(posterior, "split")
         assert split.sigma_min < split.sigma_max <= float(posterior.annealing_range("split")[0])
 

@@ -254,6 +254,7 @@ def test_command_writes_weights_card_and_report(command, folder, tmp_path, monke
     card = json.loads((tmp_path / "mine.json").read_text())
     assert card["data"]["licence"] == "CC0"
     assert card["data"]["pictures"] == {"train": 4, "validation": 2, "test": 0}
+    assert card["validation"]["patches"] == 2
     assert str(tmp_path) not in card["training"]["command"]
     report = json.loads((tmp_path / "mine.training" / "report.json").read_text())
     assert set(report["denoising_psnr_db"]) == {"0.025", "0.05", "0.1", "0.2"}
@@ -375,6 +376,13 @@ def test_damaged_picture_is_named(command, folder, tmp_path):
     (folder / "3.png").write_bytes(raw[: len(raw) // 2])
     result = command("--data", folder, "--out", tmp_path / "mine", *TINY)
     assert "3.png cannot be read" in str(result.exception)
+
+
+def test_a_file_that_cannot_be_read_is_told_before_how_few_there_are(command, tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.png").write_bytes(b"no picture")
+    result = command("--data", tmp_path, "--out", tmp_path / "mine", "--quiet")
+    assert "a.png is no picture" in str(result.exception)
 
 
 def test_pictures_smaller_than_the_patch_are_refused():

@@ -214,7 +214,9 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     options = ("--system", "recording", "--system", "RED", "--sigma", "0.1")
     assert not run(folder, tmp_path / "out", *options)
     table = (tmp_path / "out" / "study.md").read_text()
-    assert f"2 test pictures of the prior nuclei, {SIDE}x{SIDE}" in table and "- RED: Romano" in table
+    assert (
+        f"2 test pictures of the prior nuclei, {SIDE}x{SIDE}" in table and "- RED: Romano" in table
+    )
     assert capsys.readouterr().out == table
     assert "| RED |" in table and "## sigma_0 = 0.1" in table
     with Image.open(tmp_path / "out" / "study.png") as picture:

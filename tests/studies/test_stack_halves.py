@@ -8,6 +8,7 @@ from posterior.diagnostics import misfit
 from posterior.estimators.calibration import NOMINAL, Calibrated
 from posterior.stacks import Stack
 from posterior.studies import Answer, StackHalves, stack_table
+from posterior.studies.stack_plot import prediction
 
 LOW, UPSAMPLING, NA = 32, 3, 0.1
 LEDS, ELECTRONS = 25, 2000
@@ -39,7 +40,12 @@ def stack():
 def study(stack):
     """As if calibration had found the truth."""
     half = np.arange(LEDS) % 2 == 0
-    found = Calibrated(NOMINAL, specimen(), np.ones(half.sum()))
+    found = Calibrated(
+        NOMINAL._replace(background=True),
+        specimen(),
+        np.ones(half.sum()),
+        np.full(half.sum(), 20.0),
+    )
     return StackHalves(stack.of(half), stack.of(~half), UPSAMPLING, found, "complex-cells", 2, 0)
 
 
@@ -76,6 +82,28 @@ def test_the_table_tells_bright_from_dark_and_seen_from_held_out(study):
     expected = [f"{value:.2f}" for value in study.residuals(specimen())]
     assert rows[1].split(" | ")[1:5] == expected
     assert "- lacking: no answer to recording 0" in table
+    fitted = study.fitted
+    shares = (
+        20 / fitted.of(k).intensity.mean(axis=(1, 2)) for k in (fitted.bright, ~fitted.bright)
+    )
+    bright, dark = (f"{100 * np.median(share):.1f}" for share in shares)
+    assert f"Background is {bright} % of bright fields and {dark} % of dark fields" in table
+
+
+def test_the_figure_shows_a_held_out_bright_field_and_what_is_left_of_it(study):
+    """Of the true object photon noise is left: mean square 1, to 4 sd of 32 x 32 pixels."""
+    answer = Answer(np.stack([specimen()] * 2)[None], np.array([4.0]), 10**6)
+    figure = prediction(
+        study, {"draws": answer, "one": answer._replace(images=answer.images[:, :1])}
+    )
+    titles = [axis.get_title() for axis in figure.axes]
+    assert {"measured, held out", "draws, mean of 2", "one"} <= set(titles)
+    bright = study.held_out.of(study.held_out.bright)
+    led = np.linalg.norm(bright.led_na, axis=1).argmin()
+    np.testing.assert_array_equal(figure.axes[0].images[0].get_array(), bright.intensity[led])
+    left = figure.axes[4].images[0].get_array()
+    assert abs(np.mean(left**2) - 1) < 4 * np.sqrt(2.2 / left.size)
+    assert f"mean square {np.mean(left**2):.1f}" in titles[4]
 
 
 def test_a_stack_too_small_is_refused(stack, tmp_path):
