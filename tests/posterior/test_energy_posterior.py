@@ -120,8 +120,8 @@ def test_mala_leaves_the_posterior_of_an_energy_as_it_is(energy):
 def test_emcee_mala_smc_and_annealed_langevin_agree_on_a_small_patch(energy):
     """The same network on 2x2 pixels: means and variances, in posterior sd.
 
-    MALA, emcee and SMC to four times their Monte-Carlo error; annealed Langevin, which approximates,
-    and whose prior at its finest level is blurred as that of the others is, to 0.1 beside it.
+    MALA, emcee and SMC to four times their Monte-Carlo error; annealed Langevin, an approximation
+    whose prior at its finest level is blurred as that of the others is, to 0.1 beside it.
     """
     # The network's own draws, by one step here, are far from its density: none may lean on them.
     prior = priors.EnergyPrior(energy.denoiser, (2, 2), sampling_steps=2)
