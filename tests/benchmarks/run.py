@@ -76,38 +76,54 @@ def mala_against_blackjax():
         print(f"MALA on {name}: {mine:.0f} ESS/s, BlackJAX's {best:.0f}, ratio {mine / best:.2f}")
 
 
-def annealed_step_against_score():
+def annealed_steps():
+    """A step of 16 chains of 64x64 over what it cannot do without: the score, or the network."""
     shape = (64, 64)
     power = 1e-3 / (0.05 + np.hypot(*np.meshgrid(*[np.fft.fftfreq(64)] * 2))) ** 2
-    prior = models.GaussianField(power, 0.5, dtype=complex)
-    likelihood = models.IntensityLikelihood(models.Fourier(shape, 2), models.Poisson(10_000))
-    problem = ps.Problem(likelihood, prior)
-    post = problem.condition(jnp.minimum(problem.simulate(jax.random.key(0))[1], 1.0))
+    field = models.GaussianField(power, 0.5, dtype=complex)
+    far = models.IntensityLikelihood(models.Fourier(shape, 2), models.Poisson(10_000))
     sampler = samplers.AnnealedLangevin(levels=50, steps=2)
-    keys = jax.random.split(jax.random.key(1), 16)
+    post, step, states = timed_steps(ps.Problem(far, field), sampler, 50)
+    score = timed_rounds(lambda x: post.annealed_score(x, 0.1), states.position, 50)
+    print(f"annealed Langevin step, 16 chains of 64x64: {step / score:.2f} of a bare score")
+
+    nuclei = models.ScorePrior.load("nuclei", shape)
+    counts = models.LinearLikelihood(models.Identity(shape), models.Poisson(100))
+    post, step, states = timed_steps(ps.Problem(counts, nuclei), sampler, 20)
+    network = timed_rounds(lambda x: post.prior.denoise(x, 0.1), states.position, 20)
+    print(f"the same under `nuclei`: {step / network:.2f} of the bare network")
+
+
+def timed_steps(problem, sampler, rounds):
+    """The posterior of a recording, the seconds of so many steps of 16 chains, their states."""
     from posterior.samplers.base import vmap_init, vmap_step
 
+    post = problem.condition(jnp.clip(problem.simulate(jax.random.key(0))[1], 0.0, 1.0))
+    keys = jax.random.split(jax.random.key(1), 16)
     states = eqx.filter_jit(vmap_init)(sampler, keys, post, None)
 
     @eqx.filter_jit
-    def run_steps(states, keys):
+    def run(states, keys):
         def body(states, i):
             step_keys = jax.vmap(lambda k: jax.random.fold_in(k, i))(keys)
             return vmap_step(sampler, step_keys, states)[0], None
 
-        return jax.lax.scan(body, states, jnp.arange(50))[0].position
+        return jax.lax.scan(body, states, jnp.arange(rounds))[0].position
 
-    @eqx.filter_jit
-    def run_scores(x, post):
+    return post, best_of(3, lambda: run(states, keys)), states
+
+
+def timed_rounds(function, x, rounds):
+    """Seconds of so many evaluations of a function of 16 objects, one after the other."""
+
+    @jax.jit
+    def run(x):
         def body(x, i):
-            score = jax.vmap(lambda x: post.annealed_score(x, 0.1))(x)
-            return x + 1e-9 * score, None
+            return x + 1e-9 * jax.vmap(function)(x), None
 
-        return jax.lax.scan(body, x, jnp.arange(50))[0]
+        return jax.lax.scan(body, x, jnp.arange(rounds))[0]
 
-    step = best_of(3, lambda: run_steps(states, keys))
-    score = best_of(3, lambda: run_scores(states.position, post))
-    print(f"annealed Langevin step, 16 chains of 64x64: {step / score:.2f} of a bare score")
+    return best_of(3, lambda: run(x))
 
 
 def memory_case(draws, keep):
@@ -272,7 +288,7 @@ if __name__ == "__main__":
         memory_case(int(sys.argv[1]), bool(int(sys.argv[2])))
     else:
         mala_against_blackjax()
-        annealed_step_against_score()
+        annealed_steps()
         calibration_against_a_loop()
         subprocess.run([sys.executable, __file__, "convergence"], check=True)
         memory()
