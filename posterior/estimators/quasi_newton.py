@@ -174,7 +174,7 @@ def minimised(
     """Where `cost`, which gives value and gradient, is least near `v`, and the solver's state.
 
     Where no step down is found along the direction that the history suggests, the history is
-    forgotten; it ends where none is found along the gradient either.
+    forgotten; it ends where that has led no further down than the last time.
     """
     solver = jaxopt.LBFGS(
         cost,
@@ -188,22 +188,24 @@ def minimised(
     )
 
     def goes_on(carry: tuple[jax.Array, NamedTuple, jax.Array]) -> jax.Array:
-        _, state, fresh = carry
-        stuck = state.failed_linesearch & fresh
+        _, state, stuck_at = carry
+        stuck = state.failed_linesearch & (state.value >= stuck_at)
         return (state.iter_num < iterations) & (state.error > tolerance) & ~stuck
 
     def step(carry: tuple[jax.Array, NamedTuple, jax.Array]) -> tuple:
-        v, state, _ = carry
+        v, state, stuck_at = carry
         forget = state.failed_linesearch
 
         def anew() -> NamedTuple:
             return solver.init_state(v)._replace(iter_num=state.iter_num)
 
+        stuck_at = jnp.where(forget, state.value, stuck_at)
         state = jax.lax.cond(forget, anew, lambda: state)
-        return *solver.update(v, state), forget
+        return *solver.update(v, state), stuck_at
 
-    # The first direction is the gradient itself.
-    return jax.lax.while_loop(goes_on, step, (v, solver.init_state(v), jnp.asarray(True)))[:2]
+    begin = solver.init_state(v)
+    carry = v, begin, jnp.full_like(begin.value, jnp.inf)
+    return jax.lax.while_loop(goes_on, step, carry)[:2]
 
 
 # ---- where to start ------------------------------------------------------------------------------

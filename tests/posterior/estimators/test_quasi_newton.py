@@ -10,7 +10,7 @@ from known import linear_gaussian
 from posterior import models
 from posterior.diagnostics import align
 from posterior.estimators import default_start, maximum_likelihood, maximum_posterior
-from posterior.estimators.quasi_newton import bright_fields
+from posterior.estimators.quasi_newton import bright_fields, minimised
 
 
 def vector(o):
@@ -127,6 +127,29 @@ def test_a_real_start_gives_a_real_object(x64):
     found = maximum_likelihood(likelihood, y, start, iterations=1000, tolerance=1e-11)
     assert found.object.dtype == float
     np.testing.assert_allclose(found.object, o, atol=1e-6)
+
+
+def climbed(cost, start, iterations=300):
+    """By L-BFGS in single precision, to a gradient of 1e-6."""
+    run = jax.jit(lambda v: minimised(jax.value_and_grad(cost), v, iterations, 1e-6, 10))
+    return run(jnp.asarray(start, "float32"))
+
+
+def test_a_history_that_leads_nowhere_is_forgotten():
+    """Beside the poles of -log v^2 + 3 v^2, least at v^2 = 1/3, two steps leave a useless one."""
+    _, state = climbed(lambda v: jnp.sum(3 * v**2 - jnp.log(v**2)), [1e-5, 2.0, -1e-4, 5.0])
+    assert abs(float(state.value) - 4 * (1 + np.log(3))) < 1e-5
+
+
+def test_it_ends_where_rounding_leaves_no_step_down():
+    counts = jnp.array([0.0, 50.0, 1000.0, 3.0])
+
+    def cost(v):
+        return jnp.sum(100 * v**2 - counts * jnp.log(v**2 + 1e-6))
+
+    v, state = climbed(cost, [1.0, 1e-3, 0.1, -2.0])
+    np.testing.assert_allclose(v**2, counts / 100, rtol=1e-3, atol=1e-5)
+    assert state.failed_linesearch and state.iter_num < 100
 
 
 def test_iterations_are_a_limit(x64):
