@@ -12,6 +12,13 @@ def check_finite(name: str, array: np.ndarray, remedy: str = DIVERGED) -> None:
         raise ValueError(f"{lost} of {array.size} values of the {name} are not finite: {remedy}")
 
 
+def check_draws_finite(draws: np.ndarray, name: str = "draws", remedy: str = DIVERGED) -> None:
+    """Refuse draws (n, *shape) with NaN or infinity in them, and say how many of them."""
+    lost = int(np.sum(~np.isfinite(draws.reshape(len(draws), -1)).all(axis=1)))
+    if lost:
+        raise ValueError(f"{lost} of {len(draws)} {name} are not finite: {remedy}")
+
+
 def check_real(**arrays: np.ndarray) -> None:
     """Refuse complex arrays, given by name: of a real statistic the imaginary part is no part."""
     for name, array in arrays.items():
@@ -53,8 +60,8 @@ def check_varies(draws: np.ndarray, axis: int) -> None:
     """Refuse draws that are all the same along the axis they are counted on."""
     if not varies(draws, axis):
         raise ValueError(
-            f"the {draws.shape[axis]} draws do not vary: the chains have not moved, or one draw is "
-            "given several times"
+            f"the {draws.shape[axis]} draws do not vary, the chains have not moved or one draw is "
+            "given several times: run them longer or with another step"
         )
 
 

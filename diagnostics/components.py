@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
+from .checks import check_draws_finite, check_varies
+
 # Of the largest variance: below it the square root of a rounding error would speak.
 _ROUNDING = 1e-12
 
@@ -108,21 +110,12 @@ def _centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, ...
     if values.ndim < 3 or values.shape[0] * values.shape[1] < 2:
         raise ValueError(f"draws of shape {values.shape}: give (chains, draws, *shape), 2 or more")
     flat = values.reshape(values.shape[0] * values.shape[1], -1)
-    lost = int(np.sum(~np.isfinite(flat).all(axis=1)))
-    if lost:
-        raise ValueError(
-            f"{lost} of {len(flat)} draws hold NaN or infinity: the run has diverged, give the "
-            "sampler a smaller step"
-        )
+    check_draws_finite(flat)
+    check_varies(flat, axis=0)
     x = flat.astype(complex if np.iscomplexobj(flat) else float)
     # A pixel that stands still is 0 exactly, whatever its mean rounds to.
     mean = np.where(np.ptp(x.real, axis=0) + np.ptp(x.imag, axis=0) > 0, x.mean(axis=0), x[0])
     x -= mean
-    if not x.any():
-        raise ValueError(
-            f"the {len(x)} draws do not vary: the chains have not moved, run them longer or with "
-            "another step"
-        )
     return x, mean, values.shape[2:]
 
 

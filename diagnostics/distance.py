@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from .checks import check_draws_finite
+
 if TYPE_CHECKING:
     from sklearn.base import ClassifierMixin
 
@@ -176,12 +178,7 @@ def flat(x: np.ndarray) -> np.ndarray:
         raise ValueError(f"draws of shape {x.shape}: give (draws, *shape), one or more")
     x = x.reshape(len(x), -1)
     x = np.concatenate([x.real, x.imag], axis=1) if np.iscomplexobj(x) else x
-    lost = int(np.sum(~np.isfinite(x).all(axis=1)))
-    if lost:
-        raise ValueError(
-            f"{lost} of {len(x)} draws are not finite: the run has diverged, give the sampler a "
-            "smaller step"
-        )
+    check_draws_finite(x)
     return x.astype(float)
 
 

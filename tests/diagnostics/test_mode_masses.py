@@ -28,7 +28,7 @@ def test_a_mode_that_no_draw_is_near_has_no_mass():
         (MODES[:, 0], MODES, r"draws of shape \(3, 2\), modes of \(3, 1, 2\): give \(n, "),
         (MODES[:0], MODES, "one or more of each"),
         (MODES, MODES[:0], "one or more of each"),
-        (MODES + 0j, MODES, "draws are complex128, modes float64"),
+        (MODES + 0j, MODES, "draws of complex128 beside modes of float64"),
         (np.where(MODES == 4, np.nan, MODES), MODES, "2 of 3 draws are not finite"),
         (MODES, MODES[[0, 1, 1]], "3 modes of which 2 are different"),
     ],

@@ -202,8 +202,8 @@ def test_first_draws_that_are_none_are_refused():
         (first[:19], "19 first draws for 20 simulations"),
         (first[:, :7], r"first draws of shape \(20, 7\): give \(n, \*\(8,\)\)"),
         (first + 0j, "first draws are complex128, the object is float"),
-        (first * np.nan, "first draws hold NaN"),
-        (first[:1].repeat(20, axis=0), "all 20 first draws are the same"),
+        (first * np.nan, "first draws are not finite"),
+        (first[:1].repeat(20, axis=0), "the 20 draws do not vary"),
     ):
         with pytest.raises(ValueError, match=message):
             posterior_sbc(SMALL.given, wrong, *run, 20)
