@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from .checks import check_draws_finite, check_varies
+from .checks import check_draws_finite, check_level, check_varies
 
 # Of the largest variance: below it the square root of a rounding error would speak.
 _ROUNDING = 1e-12
@@ -81,8 +81,7 @@ def contrast(values: np.ndarray, level: float = 0.9) -> Contrast:
     `along` is without that.
     Raises ValueError for a level outside (0, 1), and as `principal_components`.
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level {level}: it must lie between 0 and 1")
+    check_level(level)
     x, _, shape = _centred(values)
     pattern = _eigenvectors(x, 1)[1][0]
     scores = (x @ pattern.conj()).real

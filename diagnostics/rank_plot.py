@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .checks import check_level
 from .sbc import Calibration
 from .uniformity import bands
 
@@ -19,8 +20,7 @@ def plot_ranks(
     told apart by colour, after them those of too few draws to be judged. Returns the axes, new ones
     unless given. Raises ValueError for a level outside (0, 1).
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level {level}: it must lie between 0 and 1")
+    check_level(level)
     axes = Figure(figsize=(7.5, 3.6), layout="constrained").add_subplot() if axes is None else axes
     n, count = calibration.ranks.shape
     low, high = bands(n, 1 - (1 - level) / count)

@@ -11,6 +11,7 @@ import numpy as np
 from ..problem import Problem
 from ..samplers.base import PopulationSampler, Sampler
 from .campaign import Drawer, Settings, Simulations, check_asked, simulate
+from .checks import check_level
 from .quantities import Quantity, default_quantities
 from .ranks import randomised_ranks, thinned
 from .uniformity import holm, uniformity
@@ -73,8 +74,7 @@ class Calibration(NamedTuple):
         return float(np.mean(ranks > 1 - level)), error
 
     def _coverage_error(self, level: float) -> float:
-        if not 0 < level < 1:
-            raise ValueError(f"level {level}: it must lie between 0 and 1")
+        check_level(level)
         return float(np.sqrt(level * (1 - level) / len(self.ranks)))
 
     def verdict(self, alpha: float = 0.05) -> str:
