@@ -37,6 +37,7 @@ def prediction(study: StackHalves, answers: dict[str, Answer]) -> Figure:
         shown = below.imshow(residual, cmap="RdBu_r", vmin=-_WORST, vmax=_WORST)
         below.set_title(f"residual, mean square {np.mean(residual**2):.1f}", fontsize=9)
     if answers:
-        bar = figure.colorbar(shown, ax=axes[1, 0], location="left", fraction=0.5)
+        # In the empty place below the measured image.
+        bar = figure.colorbar(shown, cax=axes[1, 0].inset_axes((0.6, 0.05, 0.06, 0.9)))
         bar.set_label("sd of photon noise", fontsize=9)
     return figure
