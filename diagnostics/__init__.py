@@ -4,6 +4,7 @@ from .campaign import Settings, Simulations, simulate
 from .certificate import Certificate, certify
 from .certificate_page import as_page
 from .certificate_plot import plot_certificates
+from .certificate_table import as_matrix, as_table
 from .chain_plot import plot_chains
 from .component_plot import plot_components, plot_contrast
 from .components import Components, Contrast, contrast, principal_components

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..checkpoint import fingerprint
+from ..models.realview import real_size
 from ..problem import Posterior, Problem
 from ..samplers.base import Sampler
 from ..samplers.checks import check_run
@@ -30,10 +31,16 @@ from .shards import Shard, Shards
 Drawer = Callable[[jax.Array, Posterior], jax.Array]
 
 _BATCH = 32
+# Real unknowns of a batch: of large objects fewer, lest the first be hours in coming.
+_BATCH_SIZE = 4096
 
 
 class SamplerRefusal(ValueError):
     """A sampler's own reason not to run on a problem."""
+
+
+class OutOfTime(RuntimeError):
+    """A campaign whose time was over before its simulations were."""
 
 
 class Enumerated(Problem):
@@ -78,7 +85,8 @@ def simulate(
     quantities: Mapping[str, Quantity],
     settings: Settings = Settings(),  # noqa: B008
     *,
-    batch: int = _BATCH,
+    batch: int | None = None,
+    limit: float | None = None,
     folder: str | os.PathLike | None = None,
     executor: Executor | None = None,
     progress: bool = True,
@@ -89,7 +97,10 @@ def simulate(
     `settings` are not used. Simulation i depends on `fold_in(key, i)` alone, so that more of them
     go on where fewer ended. Only the quantities are held. `batch` of them run at a time, split over
     the devices that this process sees (or on `jax_default_device`, if that is set): memory and
-    speed, not results, beyond rounding.
+    speed, not results, beyond rounding; None: 32, or as many as have 4096 real unknowns together.
+
+    `limit`: the seconds after which no other batch begins, those of the folder's batches among
+    them; None: none. A batch that has begun is ended.
 
     `folder`: each batch is kept in a file of its own, and a campaign killed at any moment goes on
     with the same call, which repeats nothing but the batches that were running. It belongs to what
@@ -106,18 +117,23 @@ def simulate(
     real scalars or not defined for an object, draws of another shape or kind than the object, a
     folder of another campaign or with a damaged file, functions that cannot be sent, and processes
     made by fork or of other versions; NonFiniteError with the number of a simulation in which any
-    pixel of a draw is not finite.
+    pixel of a draw is not finite; OutOfTime, with the time that all would take, at the `limit`.
     """
-    for name, value in (("count", count), ("batch", batch)):
+    for name, value in (("count", count), ("batch", 1 if batch is None else batch)):
         if int(value) != value or value < 1:
             raise ValueError(f"{name} {value}: give a whole number, 1 or more")
+    if limit is not None and not limit > 0:
+        raise ValueError(f"limit {limit}: give seconds above 0, or None")
     if not quantities:
         raise ValueError("no quantities: give {name: f(x, y)}, one or more")
     check_asked(problem, sampler)
     check_run(settings.chains, settings.draws, settings.thin, settings.warmup)
+    if batch is None:
+        unknowns = real_size(problem.prior.shape, problem.prior.dtype)
+        batch = min(_BATCH, max(1, _BATCH_SIZE // unknowns))
     count, batch = int(count), int(batch)
     campaign = _Campaign(problem, sampler, key, dict(quantities), settings, batch)
-    shards = _shards(campaign, count, folder, executor, progress)
+    shards = _shards(campaign, count, folder, executor, progress, limit)
     truths, draws = (np.concatenate([s[k] for s in shards])[:count] for k in ("truths", "draws"))
     names = tuple(quantities)
     _refuse_nan(truths, draws, 0, names)
@@ -179,6 +195,7 @@ def _shards(
     folder: str | os.PathLike | None,
     executor: Executor | None,
     progress: bool,
+    limit: float | None,
 ) -> list[Shard]:
     """The batches of `count` simulations: those of the folder, and the others computed."""
     batch, names = campaign.batch, tuple(campaign.quantities)
@@ -186,6 +203,8 @@ def _shards(
     store = None if folder is None else Shards(folder, campaign.identity())
     shards = {} if store is None else store.found(len(numbers))
     missing = [i for i in numbers if i not in shards]
+    if missing:
+        _refuse_late(shards, count, batch, limit)
     # Closed, so that what has not begun is cancelled on an error.
     results = closing(completed(campaign, missing, executor))
     with _bar(progress) as bar, results as found:
@@ -198,7 +217,20 @@ def _shards(
                 store.put(i, shard)
             shards[i] = shard
             bar.advance(task, asked)
+            if len(shards) < len(numbers):
+                _refuse_late(shards, count, batch, limit)
     return [shards[i] for i in numbers]
+
+
+def _refuse_late(shards: dict[int, Shard], count: int, batch: int, limit: float | None) -> None:
+    seconds = sum(float(shard["seconds"]) for shard in shards.values())
+    if limit is None or seconds < limit:
+        return
+    done = len(shards) * batch
+    raise OutOfTime(
+        f"{done} of {count} simulations took {seconds:.0f} s, of {limit:.0f} s that they were "
+        f"given: give {1.1 * seconds * count / done:.0f} s for all"
+    )
 
 
 def _mesh() -> Mesh | None:

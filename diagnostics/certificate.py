@@ -13,7 +13,7 @@ from ..problem import Problem
 from ..samplers.base import RunSampler, Sampler
 from ..sampling import NonFiniteError
 from .beside_exact import RECORDINGS, beside_exact
-from .campaign import Drawer, SamplerRefusal, Settings, check_sampler
+from .campaign import Drawer, OutOfTime, SamplerRefusal, Settings, check_sampler
 from .quantities import DistanceTo, default_quantities
 from .sbc import Calibration, sbc
 
@@ -96,6 +96,7 @@ def certify(
     *,
     settings: Settings | None = None,
     alpha: float = 0.05,
+    limit: float | None = None,
     folder: str | os.PathLike | None = None,
     progress: bool = True,
 ) -> dict[str, Certificate]:
@@ -104,8 +105,10 @@ def certify(
     `sampler`: one of `posterior.samplers`, or a function (key, posterior) -> (chains, draws,
     *shape) of independent draws, traceable by JAX. `settings`: of a run; None: `settings_of` it.
     `key` None: key 0. `alpha`: with that probability at most an exact sampler fails on any of the
-    problems, each being tested at its share. `folder`: the simulations of each problem and its
-    other figures are kept there; a certificate that was interrupted goes on, and repeats nothing.
+    problems, each being tested at its share. `limit`: the seconds after which no simulations of a
+    problem begin, which then cannot be judged, or None. `folder`: the simulations of each problem
+    and its other figures are kept there; a certificate that was interrupted goes on, and repeats
+    nothing.
     Raises ValueError for no problems, for what is none or no sampler, and as `sbc` does.
     """
     check_sampler(sampler)
@@ -127,7 +130,7 @@ def certify(
         place = None if folder is None else Path(folder) / file_name(name)
         share = alpha / len(problems)
         found[name] = _certificate(
-            sampler, known, key, simulations, settings, share, place, progress
+            sampler, known, key, simulations, settings, share, limit, place, progress
         )
     return found
 
@@ -140,26 +143,6 @@ def settings_of(sampler: Sampler | Drawer) -> Settings:
     return Settings(chains=4, draws=100, warmup=500, thin=5)
 
 
-def as_table(certificates: Mapping[str, Mapping[str, Certificate]]) -> str:
-    """Markdown: a row for each sampler and problem of {sampler: {problem: certificate}}.
-
-    The distance is given +- its standard error.
-    """
-    rows = [
-        "| sampler | problem | verdict | p over all quantities "
-        "| coverage of 50, 80, 95 % where worst | distance over floor | error of modes "
-        "| its floor | ESS per score evaluation | s |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for sampler, by_problem in certificates.items():
-        for problem, found in by_problem.items():
-            cells = [sampler, problem, found.verdict, said(found.p, ".2g"), _worst_coverage(found)]
-            cells += [said_distance(found), said(found.mode_error, ".2f")]
-            cells += [said(found.mode_floor, ".2f"), said(found.effective_per_evaluation, ".2g")]
-            rows.append(f"| {' | '.join([*cells, said(found.seconds, '.0f')])} |")
-    return "\n".join(rows) + "\n"
-
-
 def _certificate(
     sampler: Sampler | Drawer,
     known: Known,
@@ -167,6 +150,7 @@ def _certificate(
     simulations: int,
     settings: Settings,
     alpha: float,
+    limit: float | None,
     folder: Path | None,
     progress: bool,
 ) -> Certificate:
@@ -177,8 +161,10 @@ def _certificate(
     try:
         calibration = sbc(
             problem, sampler, key, simulations, quantities=quantities,
-            folder=folder, progress=progress, **settings._asdict(),
+            limit=limit, folder=folder, progress=progress, **settings._asdict(),
         )  # fmt: skip
+    except OutOfTime as error:
+        return Certificate(f"cannot be judged: {error}")
     except SamplerRefusal as error:
         return Certificate(f"does not apply: {error}")
     except NonFiniteError as error:
@@ -222,23 +208,3 @@ def _verdict(calibration: Calibration, alpha: float, settings: Settings | None) 
             "modes hold them"
         )
     return verdict
-
-
-def _worst_coverage(found: Certificate) -> str:
-    if found.p is None:
-        return ""
-    p = found.calibration.judged_p
-    worst = min(p, key=p.__getitem__)
-    shares = (found.calibration.coverage(level)[worst][0] for level in LEVELS)
-    return ", ".join(f"{100 * share:.0f}" for share in shares)
-
-
-def said(value: float | None, form: str) -> str:
-    """A number in this format; nothing, where there is none."""
-    return "" if value is None else format(value, form)
-
-
-def said_distance(found: Certificate) -> str:
-    """The distance over its floor, +- its standard error where that is known."""
-    error = said(found.distance_error, ".2f")
-    return said(found.distance, ".2f") + (f" \N{PLUS-MINUS SIGN} {error}" if error else "")

@@ -5,8 +5,9 @@ import io
 from collections.abc import Mapping
 from html import escape
 
-from .certificate import LEVELS, Certificate, said, said_distance
-from .certificate_plot import COLOURS, SYMBOLS, check_certificates, problems_of
+from .certificate import LEVELS, Certificate
+from .certificate_plot import COLOURS, SYMBOLS, check_certificates
+from .certificate_table import problems_of, said, said_distance
 from .rank_plot import plot_ranks
 
 Pictures = Mapping[str, Mapping[str, bytes]]

@@ -6,7 +6,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from .certificate import VERDICTS, Certificate, said
+from .certificate import VERDICTS, Certificate
+from .certificate_table import problems_of, said
 
 # Blue, orange and grey are told apart by every eye, and the symbols without colour.
 COLOURS = dict(zip(VERDICTS, ("#bfdcf0", "#f7c68d", "#dedede", "#ffffff")))
@@ -52,11 +53,6 @@ def check_certificates(certificates: Mapping[str, Mapping[str, Certificate]]) ->
         raise ValueError(
             "no certificates to show: give {sampler: {problem: Certificate}}, of `certify`"
         )
-
-
-def problems_of(certificates: Mapping[str, Mapping[str, Certificate]]) -> list[str]:
-    """The names of all problems, in the order in which they first come."""
-    return list(dict.fromkeys(name for by_problem in certificates.values() for name in by_problem))
 
 
 def _cell(axes: Axes, column: int, row: int, found: Certificate) -> None:

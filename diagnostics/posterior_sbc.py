@@ -30,7 +30,8 @@ def posterior_sbc(
     warmup: int | None = None,
     thin: int = 1,
     independent: bool | None = None,
-    batch: int = 32,
+    batch: int | None = None,
+    limit: float | None = None,
     folder: str | os.PathLike | None = None,
     executor: Executor | None = None,
     progress: bool = True,
@@ -61,8 +62,8 @@ def posterior_sbc(
     problem = _SecondExposure(both, posterior.prior, posterior.y, objects)
     return sbc(
         problem, sampler, key, simulations, quantities=quantities, chains=chains, draws=draws,
-        warmup=warmup, thin=thin, independent=independent, batch=batch, folder=folder,
-        executor=executor, progress=progress,
+        warmup=warmup, thin=thin, independent=independent, batch=batch, limit=limit,
+        folder=folder, executor=executor, progress=progress,
     )  # fmt: skip
 
 

@@ -116,7 +116,8 @@ def sbc(
     warmup: int | None = None,
     thin: int = 1,
     independent: bool | None = None,
-    batch: int = 32,
+    batch: int | None = None,
+    limit: float | None = None,
     folder: str | os.PathLike | None = None,
     executor: Executor | None = None,
     progress: bool = True,
@@ -147,7 +148,7 @@ def sbc(
         raise ValueError(f"{draws} draws a chain: give 8 or more, to know how far they depend")
     simulated = simulate(
         problem, sampler, key, simulations, quantities, settings,
-        batch=batch, folder=folder, executor=executor, progress=progress,
+        batch=batch, limit=limit, folder=folder, executor=executor, progress=progress,
     )  # fmt: skip
     _refuse_constant(simulated)
     names, truths, found, seconds = simulated

@@ -11,11 +11,13 @@ import jax
 import typer
 
 from ..diagnostics.campaign import Settings
-from ..diagnostics.certificate import Certificate, as_table, certify, settings_of
+from ..diagnostics.certificate import Certificate, certify, settings_of
 from ..diagnostics.certificate_page import as_page, rank_picture
 from ..diagnostics.certificate_plot import plot_certificates
+from ..diagnostics.certificate_table import as_matrix, as_table
 from ..files import replace_whole
 from ..models.gallery import GALLERY, Known, file_name
+from ..models.priors import PixelPrior
 from ..presets import SAMPLERS
 from ..problem import Problem
 from ..samplers import Sampler
@@ -41,6 +43,9 @@ def command(
         int | None, typer.Option(help="Of a chain, 8 or more; draws that are runs are 20.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same simulations.")] = 0,
+    minutes: Annotated[
+        float | None, typer.Option(help="Of a sampler on a problem; it is then left unjudged.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Certify samplers on problems with a known posterior; a run that was stopped goes on."""
@@ -51,18 +56,22 @@ def command(
         raise ValueError(f"--simulations {simulations}: give 20 or more, no test sees less")
     if draws is not None and draws < 8:
         raise ValueError(f"--draws {draws}: give 8 or more, to know how far they depend")
+    if minutes is not None and not minutes > 0:
+        raise ValueError(f"--minutes {minutes}: give more than 0, or leave it out")
     problems = {name: GALLERY[name]() for name in problem or GALLERY}
-    made = _made(sampler, list(problem or ()), simulations, draws, seed)
+    made = _made(sampler, list(problem or ()), simulations, draws, seed, minutes)
     key, found, pictures = jax.random.key(seed), {}, {}
     for name in sampler:
         found[name], pictures[name] = {}, {}
         for about, known in problems.items():
             if not quiet:
                 print(f"{name}: {about}", flush=True)
+            known = _fitting(name, known)
             built, one = _built(name, known), {about: known}
             found[name] |= certify(
                 built, one, key, simulations,
                 settings=_settings(built, draws), alpha=_ALPHA / len(problems),
+                limit=None if minutes is None else 60 * minutes,
                 folder=out / "simulations" / name, progress=not quiet,
             )  # fmt: skip
             picture = rank_picture(found[name][about], f"{name}: {about}")
@@ -72,7 +81,15 @@ def command(
                 replace_whole(file, lambda p, data=picture: Path(p).write_bytes(data))
             # After each, so that what is done can be read while the rest goes on.
             _write(out, found, made, pictures)
-    print(as_table(found), end="")
+    print(as_matrix(found), as_table(found), sep="\n", end="")
+
+
+def _fitting(name: str, known: Known) -> Known:
+    """The problem, its pixels' density asked by the error of counts where the sampler does."""
+    prior = known.prior
+    if SAMPLERS[name].needs != "counts" or not isinstance(prior, PixelPrior):
+        return known
+    return known._replace(prior=PixelPrior(prior.grid, prior.density, prior.shape, "poisson"))
 
 
 def _built(name: str, known: Known) -> Sampler:
@@ -90,7 +107,12 @@ def _settings(sampler: Sampler, draws: int | None) -> Settings:
 
 
 def _made(
-    samplers: list[str], problems: list[str], simulations: int, draws: int | None, seed: int
+    samplers: list[str],
+    problems: list[str],
+    simulations: int,
+    draws: int | None,
+    seed: int,
+    minutes: float | None,
 ) -> dict[str, str]:
     """How the certificates were made: what repeats them."""
     options = [("--sampler", name) for name in samplers]
@@ -98,6 +120,8 @@ def _made(
     options += [("--simulations", str(simulations)), ("--seed", str(seed))]
     if draws is not None:
         options.append(("--draws", str(draws)))
+    if minutes is not None:
+        options.append(("--minutes", f"{minutes:g}"))
     return {
         "command": shlex.join(["posterior", "certify", *(word for o in options for word in o)]),
         "simulations of each problem": str(simulations),
@@ -120,7 +144,7 @@ def _write(
     }
     texts = {
         "certificate.json": json.dumps(plain, indent=1),
-        "certificate.md": as_table(found),
+        "certificate.md": "\n".join((as_matrix(found), as_table(found))),
         "certificate.html": as_page(found, made, pictures),
     }
     for name, text in texts.items():

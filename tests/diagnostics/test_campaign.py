@@ -146,6 +146,29 @@ def test_an_interrupted_campaign_goes_on_and_repeats_nothing(tmp_path, monkeypat
     assert len(simulated(13, folder=tmp_path / "c").truths) == 13 and len(ran) == 4
 
 
+def test_a_campaign_out_of_time_says_how_much_it_needs_and_goes_on(tmp_path, ran):
+    kept = {"folder": tmp_path / "c"}
+    with pytest.raises(campaign.OutOfTime, match=r"4 of 10 simulations took .* s for all"):
+        simulated(10, limit=1e-6, **kept)
+    # What the folder holds took its time too.
+    with pytest.raises(campaign.OutOfTime, match="4 of 10 "):
+        simulated(10, limit=1e-6, **kept)
+    assert len(ran) == 1
+    assert_equal(simulated(10, limit=600.0, **kept), simulated(10))
+    ended = simulated(10, limit=1e-6, **kept)
+    assert len(ended.truths) == 10
+    with pytest.raises(ValueError, match="limit 0: give seconds above 0"):
+        simulated(10, limit=0)
+
+
+def test_a_batch_of_large_objects_is_smaller(monkeypatch, ran):
+    simulated(9, batch=None)
+    assert len(ran) == 1
+    monkeypatch.setattr(campaign, "_BATCH_SIZE", 4 * 6)
+    simulated(9, batch=None)
+    assert len(ran) == 1 + 3
+
+
 @pytest.mark.slow
 def test_processes_killed_at_work_lose_and_repeat_no_simulation(tmp_path, ran):
     folder = tmp_path / "c"

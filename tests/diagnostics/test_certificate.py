@@ -10,7 +10,8 @@ import pytest
 from posterior import samplers
 from posterior.diagnostics import beside_exact
 from posterior.diagnostics.campaign import Settings
-from posterior.diagnostics.certificate import Certificate, as_table, certify, settings_of
+from posterior.diagnostics.certificate import Certificate, certify, settings_of
+from posterior.diagnostics.certificate_table import as_matrix, as_table
 from posterior.diagnostics.sbc import Calibration
 from posterior.models.gallery import linear_gaussian, mixture_linear, one_complex_pixel
 
@@ -102,6 +103,21 @@ def test_the_table_has_a_row_for_each(table):
     assert "passes" in rows[2] and "does not apply" in rows[3]
 
 
+def test_the_matrix_has_a_column_for_each_sampler():
+    ranks = np.full((50, 1), 0.999)
+    failed = Calibration(("norm",), ranks, np.array([100.0]))
+    found = {
+        "one": {"a": Certificate(failed.verdict(), failed, 1.234)},
+        "two": {"b": Certificate("does not apply: it is complex")},
+    }
+    assert as_matrix(found).splitlines() == [
+        "| problem | one | two |",
+        "|---|---|---|",
+        "| a | **fails**: norm, 1.23 |  |",
+        "| b |  | does not apply |",
+    ]
+
+
 def test_its_numbers_are_json(table):
     plain = json.loads(json.dumps({k: v["a"].as_dict() for k, v in table.items()}))
     assert plain["exact"]["simulations"] == 20
@@ -151,6 +167,15 @@ def test_a_polish_is_certified_as_it_is_used_tuned():
     assert certified(sampler, LINEAR, 100).verdict.startswith("passes")
     untuned = settings_of(sampler)._replace(warmup=0)
     assert certified(sampler, LINEAR, 100, settings=untuned).verdict.startswith("fails")
+
+
+def test_a_sampler_that_is_too_slow_is_not_judged_and_its_budget_is_named():
+    def exact(key, posterior):
+        return LINEAR.exact(key, posterior.y, 20)[None]
+
+    found = certified(exact, LINEAR, 40, limit=1e-6)
+    assert found.kind == "cannot be judged" and found.distance is None
+    assert "32 of 40 simulations took" in found.verdict
 
 
 def test_an_interrupted_certificate_goes_on_and_repeats_nothing(tmp_path, monkeypatch):

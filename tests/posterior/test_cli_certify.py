@@ -20,6 +20,7 @@ def test_it_writes_a_page_a_table_numbers_and_pictures_and_goes_on(tmp_path, cap
     said = capsys.readouterr().out
     assert said == (tmp_path / "certificate.md").read_text()
     assert "| ula | linear Gaussian, 4 rows of 32 | " in said
+    assert said.startswith("| problem | ula |\n")
     numbers = json.loads((tmp_path / "certificate.json").read_text())
     found = numbers["ula"]["linear Gaussian, 4 rows of 32"]
     assert found["simulations"] == 20 and found["verdict"] in said
@@ -46,6 +47,7 @@ def test_it_writes_a_page_a_table_numbers_and_pictures_and_goes_on(tmp_path, cap
         (["--problem", "linear"], "unknown name 'linear': use one of linear Gaussian;"),
         (["--simulations", "19"], "--simulations 19: give 20 or more"),
         (["--draws", "7"], "--draws 7: give 8 or more"),
+        (["--minutes", "0"], "--minutes 0.0: give more than 0"),
     ],
 )
 def test_what_it_refuses(tmp_path, capsys, arguments, sentence):
