@@ -11,7 +11,6 @@ import typer
 from ..presets import (
     APPLICATIONS,
     COLOURS,
-    DENOISING,
     LEDS,
     PHASE_RETRIEVAL,
     PTYCHOGRAPHY,
@@ -44,7 +43,6 @@ _RANGES = {
 # Options of one problem alone, and their values.
 _OF_ONE = {
     "leds": (PTYCHOGRAPHY, LEDS),
-    "colour": (DENOISING, COLOURS),
     "start": (PHASE_RETRIEVAL, STARTS),
 }
 
@@ -98,6 +96,8 @@ class Options:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():
             _check_range(option, getattr(self, option), least, most)
+        if self.colour is not None:
+            _known("colour", self.colour, dict.fromkeys(COLOURS))
         for option, (problem, known) in _OF_ONE.items():
             _check_of_one(option, getattr(self, option), self.problem, problem, known)
         if is_trained(self.prior):

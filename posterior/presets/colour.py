@@ -25,6 +25,11 @@ def keeps_colour(name: str, picture: np.ndarray, channels: int, colour: str | No
     if name != DENOISING:
         if colour == "planes":
             raise ValueError(f"colour planes: {name} is of one plane, leave it out")
+        if colour is None and in_colour(picture):
+            raise ValueError(
+                f"the picture is in colour and {name} of one plane: say --colour luminance, or "
+                "give a grey picture"
+            )
         return False
     if channels == 3:
         if colour is not None:

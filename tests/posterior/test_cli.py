@@ -494,7 +494,7 @@ def _refused(capsys, *arguments, problem="denoising"):
         (["--image", "{}/pages.tif"], "holds 2 pages: choose one with --page"),
         (["--image", "{}/specimen.npy"], "complex: denoising is of real objects"),
         (["--image", "{}/colour.png"], "say --colour planes .*, --colour luminance"),
-        (["--image", "{}/picture.png", "--colour", "pink"], "give one of planes, luminance"),
+        (["--image", "{}/picture.png", "--colour", "pink"], "unknown colour 'pink': use one of"),
         (["--image", "{}/picture.png", "--prior", "faces"], "the prior is in colour: give .h"),
         (["--image", "{}/colour.png", "--prior", "faces", "--colour", "planes"], "leave it out"),
         (["--image", "{}/picture.png", "--leds", "9"], "--leds 9: only ptychography takes it"),
@@ -544,6 +544,17 @@ def _bad_inputs(folder):
     np.save(folder / "flat.npy", np.full((16, 16), 0.5))
     np.save(folder / "loud.npy", np.where(picture == picture.max(), 12.0, 0.5))
     np.save(folder / "nan.npy", np.where(picture == picture.max(), np.nan, 0.5))
+
+
+@pytest.mark.parametrize("problem", ["phase-retrieval", "ptychography"])
+def test_a_picture_in_colour_is_asked_for_its_luminance(folder, tmp_path, capsys, problem):
+    image, out = folder / "colour.png", tmp_path / "out"
+    said = _refused(capsys, "--image", image, "--out", out, problem=problem)
+    assert "in colour and" in said and "say --colour luminance" in said
+    picture, camera = read_picture(image), models.Poisson(10_000)
+    asked = {"colour": "luminance", "size": 16, "leds": 9 if problem == "ptychography" else None}
+    question = presets.simulate(problem, picture, camera, jax.random.key(0), **asked)
+    assert question.truth.ndim == 2
 
 
 @pytest.mark.parametrize(
