@@ -25,7 +25,7 @@ from ..samplers.checks import check_run
 from ..sampling import NonFiniteError
 from ..whole_run import whole_run
 from .executors import completed
-from .quantities import Quantity, values_of
+from .quantities import DENSITIES, Quantity, values_of
 from .shards import Shard, Shards
 
 Drawer = Callable[[jax.Array, Posterior], jax.Array]
@@ -68,13 +68,15 @@ class Simulations(NamedTuple):
     """Quantities of the truths (n, Q), and of the draws given their recordings.
 
     `draws` is (n, chains, draws, Q); `names` are those of the Q quantities. `seconds`: of all
-    batches, whichever process ran them, compilation included.
+    batches, whichever process ran them, compilation included. `impossible`: in how many simulations
+    a draw has no density, by the quantities that are densities, and its object has.
     """
 
     names: tuple[str, ...]
     truths: np.ndarray
     draws: np.ndarray
     seconds: float
+    impossible: int
 
 
 def simulate(
@@ -138,8 +140,11 @@ def simulate(
     names = tuple(quantities)
     _refuse_nan(truths, draws, 0, names)
     seconds = float(sum(s["seconds"] for s in shards))
+    densities = [isinstance(f, DENSITIES) for f in quantities.values()]
+    lost = np.isneginf(draws).any(axis=(1, 2)) & np.isfinite(truths)
+    impossible = int(np.sum(lost[:, densities].any(axis=1)))
     # A density of 0 has a rank too: the lowest.
-    return Simulations(names, np.nan_to_num(truths), np.nan_to_num(draws), seconds)
+    return Simulations(names, np.nan_to_num(truths), np.nan_to_num(draws), seconds, impossible)
 
 
 @dataclass(frozen=True, eq=False)

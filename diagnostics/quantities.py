@@ -65,6 +65,9 @@ class LogPosterior(eqx.Module):
         return self.likelihood.log_prob(x, y) + self.prior.log_prob(x)
 
 
+DENSITIES = (LogLikelihood, LogPrior, LogPosterior)
+
+
 class DistanceToEstimate(eqx.Module):
     """Squared distance to what the recording alone suggests, c H^H y.
 

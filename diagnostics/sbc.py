@@ -24,13 +24,14 @@ class Calibration(NamedTuple):
     """Ranks (n, Q) of n truths in each of Q quantities `names`, and how many draws they are among.
 
     `effective`: the median number of draws left after thinning, of each quantity. `seconds`: of the
-    simulations.
+    simulations. `impossible`: those in which a draw has no density (`Simulations`).
     """
 
     names: tuple[str, ...]
     ranks: np.ndarray
     effective: np.ndarray
     seconds: float = float("nan")
+    impossible: int = 0
 
     @property
     def p(self) -> dict[str, float]:
@@ -82,8 +83,13 @@ class Calibration(NamedTuple):
 
         An exact sampler of independent draws fails with probability `alpha` at most. It fails in
         quantities of which there are 5 independent draws or more; where there are fewer, and no
-        other fails, it cannot be judged.
+        other fails, it cannot be judged. A draw without density fails whatever the ranks say: they
+        count it as one draw, however far it is off, and an exact sampler never makes one.
         """
+        if self.impossible:
+            return (
+                f"fails: draws of density 0 in {self.impossible} of {len(self.ranks)} simulations"
+            )
         n, p = len(self.ranks), self.judged_p
         worst = min(p, key=p.__getitem__) if p else ""
         if len(p) < len(self.names) and (not p or p[worst] >= alpha):
@@ -151,13 +157,14 @@ def sbc(
         batch=batch, limit=limit, folder=folder, executor=executor, progress=progress,
     )  # fmt: skip
     _refuse_constant(simulated)
-    names, truths, found, seconds = simulated
+    names, truths, found, seconds, impossible = simulated
     kept = np.ones(found.shape, bool) if independent else thinned(found)
     flat, kept = (a.reshape(len(a), -1, len(names)) for a in (found, kept))
     # The ranks' own randomness follows the key too, away from every simulation's.
     seed = jax.random.key_data(jax.random.fold_in(key, 2**31))
     ranks = randomised_ranks(truths, flat, np.random.default_rng(np.asarray(seed)), kept)
-    return Calibration(names, ranks, np.median(kept.sum(axis=1), axis=0), seconds)
+    effective = np.median(kept.sum(axis=1), axis=0)
+    return Calibration(names, ranks, effective, seconds, impossible)
 
 
 def _independent(sampler: Sampler | Drawer, draws: int) -> bool:

@@ -8,8 +8,10 @@ import scipy.stats
 from faults import GaussianCase, MixtureCase
 from matplotlib.figure import Figure
 
+import posterior as ps
 from posterior import samplers
 from posterior.diagnostics import Calibration, plot_ranks, sbc
+from posterior.models.gallery import gamma_poisson
 
 CASE = GaussianCase()
 EXACT = CASE.drawer()
@@ -51,6 +53,23 @@ def test_a_planted_fault_is_caught(fault):
 def test_a_lost_mode_is_caught():
     found = calibrated(MixtureCase(), MixtureCase().drawer(lost=True), 200)
     assert found.p["mean [4:8]"] < 1e-6 and found.p["mean [0:4]"] > 0.001
+
+
+def test_a_draw_without_density_fails_whatever_its_rank():
+    """Of fifty exact draws of positive pixels one is below zero: no rank moves by more than 2 %."""
+    known = gamma_poisson(4)
+    problem = ps.Problem(known.likelihood, known.prior)
+
+    def right(key, posterior):
+        return known.exact(key, posterior.y, 50)[None]
+
+    def sometimes_below(key, posterior):
+        return right(key, posterior).at[0, 7, 2].multiply(-1.0)
+
+    for sampler, said in ((right, "passes"), (sometimes_below, "fails: draws of density 0 in 40 ")):
+        found = sbc(problem, sampler, jax.random.key(0), 40, progress=False)
+        assert found.verdict(0.001).startswith(said)
+    assert min(found.p.values()) > 0.001
 
 
 def test_the_verdict_says_what_is_wrong():
