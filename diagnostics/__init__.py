@@ -1,6 +1,6 @@
 """Can the draws be believed? These functions see arrays, a Problem and a sampler."""
 
-from .campaign import Settings, Simulations, simulate
+from .campaign import OutOfTime, Settings, Simulations, simulate
 from .certificate import Certificate, certify
 from .certificate_page import as_page
 from .certificate_plot import plot_certificates

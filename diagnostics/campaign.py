@@ -101,8 +101,9 @@ def simulate(
     the devices that this process sees (or on `jax_default_device`, if that is set): memory and
     speed, not results, beyond rounding; None: 32, or as many as have 4096 real unknowns together.
 
-    `limit`: the seconds after which no other batch begins, those of the folder's batches among
-    them; None: none. A batch that has begun is ended.
+    `limit`: the seconds of all batches together, the folder's among them and whoever computes them,
+    after which none begins; None: without end. In this process a batch that has begun is ended and
+    kept, by an `executor` those that run are lost.
 
     `folder`: each batch is kept in a file of its own, and a campaign killed at any moment goes on
     with the same call, which repeats nothing but the batches that were running. It belongs to what
@@ -121,18 +122,16 @@ def simulate(
     made by fork or of other versions; NonFiniteError with the number of a simulation in which any
     pixel of a draw is not finite; OutOfTime, with the time that all would take, at the `limit`.
     """
-    for name, value in (("count", count), ("batch", 1 if batch is None else batch)):
+    check_asked(problem, sampler)
+    batch = _batch_of(problem) if batch is None else batch
+    for name, value in (("count", count), ("batch", batch)):
         if int(value) != value or value < 1:
             raise ValueError(f"{name} {value}: give a whole number, 1 or more")
     if limit is not None and not limit > 0:
         raise ValueError(f"limit {limit}: give seconds above 0, or None")
     if not quantities:
         raise ValueError("no quantities: give {name: f(x, y)}, one or more")
-    check_asked(problem, sampler)
     check_run(settings.chains, settings.draws, settings.thin, settings.warmup)
-    if batch is None:
-        unknowns = real_size(problem.prior.shape, problem.prior.dtype)
-        batch = min(_BATCH, max(1, _BATCH_SIZE // unknowns))
     count, batch = int(count), int(batch)
     campaign = _Campaign(problem, sampler, key, dict(quantities), settings, batch)
     shards = _shards(campaign, count, folder, executor, progress, limit)
@@ -213,8 +212,7 @@ def _shards(
     # Closed, so that what has not begun is cancelled on an error.
     results = closing(completed(campaign, missing, executor))
     with _bar(progress) as bar, results as found:
-        done = sum(min(batch, count - i * batch) for i in shards)
-        task = bar.add_task("simulations", total=count, completed=done)
+        task = bar.add_task("simulations", total=count, completed=_done(shards, count, batch))
         for i, shard in found:
             asked = min(batch, count - i * batch)
             _refuse_nan(shard["truths"][:asked], shard["draws"][:asked], i * batch, names)
@@ -227,11 +225,22 @@ def _shards(
     return [shards[i] for i in numbers]
 
 
+def _batch_of(problem: Problem) -> int:
+    unknowns = real_size(problem.prior.shape, problem.prior.dtype)
+    return min(_BATCH, max(1, _BATCH_SIZE // unknowns))
+
+
+def _done(shards: dict[int, Shard], count: int, batch: int) -> int:
+    """How many of the `count` simulations asked for are in these batches, of which one is last."""
+    return sum(min(batch, count - i * batch) for i in shards)
+
+
 def _refuse_late(shards: dict[int, Shard], count: int, batch: int, limit: float | None) -> None:
     seconds = sum(float(shard["seconds"]) for shard in shards.values())
     if limit is None or seconds < limit:
         return
-    done = len(shards) * batch
+    done = _done(shards, count, batch)
+    # A tenth more than in proportion, for batches differ.
     raise OutOfTime(
         f"{done} of {count} simulations took {seconds:.0f} s, of {limit:.0f} s that they were "
         f"given: give {1.1 * seconds * count / done:.0f} s for all"

@@ -289,6 +289,18 @@ GALLERY: dict[str, Callable[[], Known]] = {
 }
 
 
+def of_counts(known: Known) -> Known:
+    """The same problem, whose prior has the error of photon counts, as `Thickening` asks for.
+
+    The density of the object itself is the same. Raises ValueError for a prior that is no
+    `PixelPrior`: no other has both errors.
+    """
+    prior = known.prior
+    if not isinstance(prior, PixelPrior):
+        raise ValueError(f"the prior is a {type(prior).__name__}: give a problem of a PixelPrior")
+    return known._replace(prior=PixelPrior(prior.grid, prior.density, prior.shape, "poisson"))
+
+
 def file_name(name: str) -> str:
     """The name of a problem, as a file may have it."""
     return "".join(c if c.isalnum() else "-" for c in name)

@@ -16,7 +16,7 @@ from ..diagnostics.certificate_page import as_page, rank_picture
 from ..diagnostics.certificate_plot import plot_certificates
 from ..diagnostics.certificate_table import as_matrix, as_table
 from ..files import replace_whole
-from ..models.gallery import GALLERY, Known, file_name
+from ..models.gallery import GALLERY, Known, file_name, of_counts
 from ..models.priors import PixelPrior
 from ..presets import SAMPLERS
 from ..problem import Problem
@@ -85,11 +85,9 @@ def command(
 
 
 def _fitting(name: str, known: Known) -> Known:
-    """The problem, its pixels' density asked by the error of counts where the sampler does."""
-    prior = known.prior
-    if SAMPLERS[name].needs != "counts" or not isinstance(prior, PixelPrior):
-        return known
-    return known._replace(prior=PixelPrior(prior.grid, prior.density, prior.shape, "poisson"))
+    """The problem, its prior with the error of counts where the sampler needs that."""
+    counted = SAMPLERS[name].needs == "counts" and isinstance(known.prior, PixelPrior)
+    return of_counts(known) if counted else known
 
 
 def _built(name: str, known: Known) -> Sampler:

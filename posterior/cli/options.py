@@ -10,7 +10,6 @@ import typer
 
 from ..presets import (
     APPLICATIONS,
-    COLOURS,
     LEDS,
     PHASE_RETRIEVAL,
     PTYCHOGRAPHY,
@@ -96,8 +95,6 @@ class Options:
             raise ValueError("--data needs --full-well: how many electrons saturate a pixel")
         for option, (least, most) in _RANGES.items():
             _check_range(option, getattr(self, option), least, most)
-        if self.colour is not None:
-            _known("colour", self.colour, dict.fromkeys(COLOURS))
         for option, (problem, known) in _OF_ONE.items():
             _check_of_one(option, getattr(self, option), self.problem, problem, known)
         if is_trained(self.prior):
@@ -131,7 +128,8 @@ class Options:
     def _refuse_beside_a_stack(self) -> None:
         if self.problem != PTYCHOGRAPHY:
             raise ValueError(f"--stack is for {PTYCHOGRAPHY}: give --data to {self.problem}")
-        for name in ("full_well", "bits", "size", "irradiance", "page", "oversampling", "leds"):
+        of_pictures = ("full_well", "bits", "size", "irradiance", "page", "oversampling")
+        for name in (*of_pictures, "leds", "colour"):
             if getattr(self, name) is not None:
                 option = f"--{name.replace('_', '-')} {getattr(self, name)}"
                 raise ValueError(f"{option}: a stack says so itself, leave it out")

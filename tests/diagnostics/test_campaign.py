@@ -155,6 +155,8 @@ def test_a_campaign_out_of_time_says_how_much_it_needs_and_goes_on(tmp_path, ran
         simulated(10, limit=1e-6, **kept)
     assert len(ran) == 1
     assert_equal(simulated(10, limit=600.0, **kept), simulated(10))
+    # Of the last batch two are asked for.
+    assert campaign._done({0: {}, 2: {}}, 10, 4) == 6
     ended = simulated(10, limit=1e-6, **kept)
     assert len(ended.truths) == 10
     with pytest.raises(ValueError, match="limit 0: give seconds above 0"):

@@ -13,7 +13,13 @@ from posterior.diagnostics.campaign import Settings
 from posterior.diagnostics.certificate import Certificate, certify, settings_of
 from posterior.diagnostics.certificate_table import as_matrix, as_table
 from posterior.diagnostics.sbc import Calibration
-from posterior.models.gallery import linear_gaussian, mixture_linear, one_complex_pixel
+from posterior.models.gallery import (
+    gamma_poisson,
+    linear_gaussian,
+    mixture_linear,
+    of_counts,
+    one_complex_pixel,
+)
 
 LINEAR = linear_gaussian(size=8, rows=6)
 MIXTURE = mixture_linear()
@@ -176,6 +182,17 @@ def test_a_sampler_that_is_too_slow_is_not_judged_and_its_budget_is_named():
     found = certified(exact, LINEAR, 40, limit=1e-6)
     assert found.kind == "cannot be judged" and found.distance is None
     assert "32 of 40 simulations took" in found.verdict
+
+
+@pytest.mark.slow
+def test_thickening_is_certified_under_the_error_of_counts():
+    known, sampler = gamma_poisson(4), samplers.Thickening(levels=24)
+    assert certified(sampler, known, 20).verdict.startswith("does not apply")
+    assert certified(sampler, of_counts(known), 100).verdict.startswith("passes")
+    short = samplers.Thickening(levels=24, sigma_min=0.1)
+    assert certified(short, of_counts(known), 100).verdict.startswith("fails")
+    with pytest.raises(ValueError, match="the prior is a Gaussian: give a problem of a PixelPrior"):
+        of_counts(LINEAR)
 
 
 def test_an_interrupted_certificate_goes_on_and_repeats_nothing(tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """Analytic priors: density and score at every annealing level against independent forms."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -246,6 +248,31 @@ def test_pixel_prior_score_and_annealed_draws_are_of_one_law(x64, sigma):
         error = np.std(products) / np.sqrt(z.size)
         assert abs(np.mean(products) - expected) < 4 * error, (np.mean(products), expected, error)
     assert (border > 0.5) == (sigma == 1.0), border
+
+
+UNEVEN = {
+    "even": np.linspace(0.2, 0.9, 77),
+    "even in sqrt": np.linspace(0.0, 1.5, 301) ** 2,
+    "over six decades": np.geomspace(1e-6, 1.0, 300),
+    "of one cell": np.array([0.0, 1.0]),
+    "crowded at zero": np.r_[np.linspace(0.0, 0.01, 500), 1.0, 2.0],
+    "crowded in the middle": np.r_[0.0, np.linspace(0.5, 0.5 + 1e-4, 400), 1.0],
+}
+
+
+@pytest.mark.parametrize("grid", UNEVEN.values(), ids=UNEVEN)
+def test_pixel_prior_finds_its_place_in_any_table(x64, grid):
+    """As NumPy's interpolation; with a step fewer, of a crowded table, in another cell."""
+    rng = np.random.default_rng(3)
+    prior = priors.PixelPrior(grid, rng.random(grid.size), (1,))
+    x = np.r_[rng.uniform(-0.1, 1.1 * grid[-1], 5000), grid, (grid[1:] + grid[:-1]) / 2]
+    expected = np.interp(x, grid, prior.density, left=0, right=0)
+    np.testing.assert_allclose(prior._density(jnp.asarray(x)), expected, rtol=1e-9, atol=1e-12)
+    middles = jnp.asarray((grid[1:] + grid[:-1]) / 2)
+    np.testing.assert_array_equal(prior.bins.cell(prior.grid, middles), np.arange(grid.size - 1))
+    if prior.bins.steps > 2:
+        fewer = dataclasses.replace(prior.bins, steps=prior.bins.steps - 1)
+        assert np.any(fewer.cell(prior.grid, middles) != np.arange(grid.size - 1))
 
 
 def test_pixel_prior_draws_follow_the_density(x64):

@@ -685,6 +685,7 @@ def test_a_measured_stack(folder, stack, tmp_path, capsys, monkeypatch):
         ("ptychography", ("--full-well", 100), "--full-well 100: a stack says so itself"),
         ("ptychography", ("--size", 64), "--size 64: a stack says so itself"),
         ("ptychography", ("--oversampling", 3), "--oversampling 3: a stack says so itself"),
+        ("ptychography", ("--colour", "luminance"), "--colour luminance: a stack says so itself"),
         ("ptychography", ("--data", "x.tif"), "give either --image"),
         ("ptychography", ("--electrons", 0), "electrons of shape (), the least 0"),
         ("denoising", (), "--stack is for ptychography"),
