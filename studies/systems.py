@@ -1,5 +1,6 @@
 """What denoises counts: the systems of the paper's Table 1, and ours."""
 
+import math
 from collections.abc import Callable
 from functools import cache, partial
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from ..models.optics import Identity
 from ..models.priors import ScorePrior
 from ..presets import SAMPLERS, start_of
 from ..problem import Posterior, Problem
-from ..samplers import AnnealedLangevin, Sampler
+from ..samplers import AnnealedLangevin, Kawar, Sampler
 from ..sampling import sample
 
 # Level of RED's denoiser over sigma_0, and its weight in units of 1 / level^2: chosen at three
@@ -109,6 +110,16 @@ def _printed(_: Posterior) -> AnnealedLangevin:
     return AnnealedLangevin(levels=45, steps=4, published=True)
 
 
+def _kawar_levels(posterior: Posterior) -> Kawar:
+    """The schedule of NCSNv2 for faces of 64x64 (Song and Ermon 2020), which Kawar et al. take up.
+
+    Of 500 levels from 90 to 0.01 those below the noise, 5 steps of 3.3e-6 (sigma_t / 0.01)^2 each:
+    a twelfth of our default's way. Where the noise is not white, as here, that is to its advantage.
+    """
+    below = math.log(float(posterior.likelihood.camera.sigma0) / 0.01) / math.log(90 / 0.01)
+    return Kawar(max(2, round(500 * below)), steps=5, step_size=0.033, sigma_min=0.01)
+
+
 def _sampler(name: str, perturbation: str, build: Callable | None = None) -> Callable:
     build = build or SAMPLERS[name].build
     return partial(_drawn, name=name, perturbation=perturbation, build=build)
@@ -140,7 +151,12 @@ SYSTEMS = {
     "Kawar": System(
         _sampler("kawar", "gaussian"),
         True,
-        "Kawar et al. 2021",
+        "Kawar et al. 2021, to equilibrium: 300 levels of 5 large steps",
+    ),
+    "Kawar, published": System(
+        _sampler("kawar", "gaussian", _kawar_levels),
+        True,
+        "Kawar et al. 2021, levels and steps of Song and Ermon 2020",
         (34.2, 34.1, 30.6, 27.1),
         (97, 97, 95, 91),
     ),
