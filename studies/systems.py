@@ -110,7 +110,7 @@ def _printed(_: Posterior) -> AnnealedLangevin:
     return AnnealedLangevin(levels=45, steps=4, published=True)
 
 
-def _kawar_levels(posterior: Posterior) -> Kawar:
+def _published_kawar(posterior: Posterior) -> Kawar:
     """The schedule of NCSNv2 for faces of 64x64 (Song and Ermon 2020), which Kawar et al. take up.
 
     Of 500 levels from 90 to 0.01 those below the noise, 5 steps of 3.3e-6 (sigma_t / 0.01)^2 each:
@@ -154,7 +154,7 @@ SYSTEMS = {
         "Kawar et al. 2021, to equilibrium: 300 levels of 5 large steps",
     ),
     "Kawar, published": System(
-        _sampler("kawar", "gaussian", _kawar_levels),
+        _sampler("kawar", "gaussian", _published_kawar),
         True,
         "Kawar et al. 2021, levels and steps of Song and Ermon 2020",
         (34.2, 34.1, 30.6, 27.1),

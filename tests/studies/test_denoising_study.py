@@ -73,6 +73,16 @@ def test_every_system_comes_closer_to_the_truth_than_the_recording(truths, name)
         assert psnr(images.mean(axis=0), truths[0]) >= recorded
 
 
+def test_kawars_published_schedule_is_that_of_song_and_ermon(truths):
+    """500 levels from 90 to 0.01: neighbours as far apart, steps of 3.3e-6 (sigma_t / 0.01)^2."""
+    posterior = study(truths).recording("0.1", 0).posterior("gaussian")
+    sampler = SYSTEMS["Kawar, published"].answer.keywords["build"](posterior)
+    assert sampler.sigma_min == 0.01
+    apart = (0.1 / sampler.sigma_min) ** (1 / sampler.levels)
+    assert apart == pytest.approx(9000 ** (1 / 500), rel=1e-3)
+    assert sampler.step_size * 0.05**2 == pytest.approx(3.3e-6 * (0.05 / 0.01) ** 2)
+
+
 def answer_of(rng, truths, spread=1.0, draws=20, sd=0.1):
     """Draws of exact posteriors about the means, `spread` times too wide."""
     means = truths + sd * rng.standard_normal(truths.shape)
