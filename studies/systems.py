@@ -111,10 +111,12 @@ def _printed(_: Posterior) -> AnnealedLangevin:
 
 
 def _published_kawar(posterior: Posterior) -> Kawar:
-    """The schedule of NCSNv2 for faces of 64x64 (Song and Ermon 2020), which Kawar et al. take up.
+    """By the schedule of NCSNv2 for faces of 64x64 (Song and Ermon 2020, configs/celeba.yml).
 
-    Of 500 levels from 90 to 0.01 those below the noise, 5 steps of 3.3e-6 (sigma_t / 0.01)^2 each:
-    a twelfth of our default's way. Where the noise is not white, as here, that is to its advantage.
+    Of 500 levels from 90 to 0.01 as many as lie below the noise at full light, with 5 steps of
+    3.3e-6 (sigma_t / 0.01)^2: a twelfth of our default's length. The recording's own noise, where
+    they begin, is less: there they lie somewhat closer, and a camera has one compilation. Where the
+    noise is not white, as here, it is an advantage not to come near the equilibrium.
     """
     below = math.log(float(posterior.likelihood.camera.sigma0) / 0.01) / math.log(90 / 0.01)
     return Kawar(max(2, round(500 * below)), steps=5, step_size=0.033, sigma_min=0.01)
@@ -156,7 +158,7 @@ SYSTEMS = {
     "Kawar, published": System(
         _sampler("kawar", "gaussian", _published_kawar),
         True,
-        "Kawar et al. 2021, levels and steps of Song and Ermon 2020",
+        "Kawar et al. 2021, by the levels and steps of Song and Ermon 2020",
         (34.2, 34.1, 30.6, 27.1),
         (97, 97, 95, 91),
     ),
