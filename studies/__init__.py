@@ -6,7 +6,7 @@ from .approximations_report import cost_table, costs
 from .denoising import Denoising
 from .harness import Answer, measure
 from .measured import Captures, Measured, names_of, read_captures
-from .measured_report import judged_capture, left_over, measured_table, model_table
+from .measured_report import judged_capture, left_over, measured_report, measured_table
 from .phase_report import aligned, judged_phases, phase_table, protocol_notes, variance_picture
 from .phase_retrieval import PhaseRetrieval, pictures_of
 from .phase_systems import PHASE_SYSTEMS
@@ -46,8 +46,8 @@ __all__ = [
     "judged_phases",
     "left_over",
     "measure",
+    "measured_report",
     "measured_table",
-    "model_table",
     "names_of",
     "phase_table",
     "picture",

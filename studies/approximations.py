@@ -16,6 +16,7 @@ from ..problem import Posterior, Problem
 from ..samplers import MALA, AnnealedLangevin
 from ..sampling import sample
 from ..starts import annealed
+from .systems import loaded
 
 # The paper's applications, on problems of the gallery.
 APPLICATIONS = {
@@ -122,7 +123,7 @@ class OnPictures(NamedTuple):
             raise ValueError("the printed form is of the signal-dependent error: see its network")
         shape = self.truths.shape[1:]
         likelihood = LinearLikelihood(Identity(shape), Poisson(self.full_well))
-        asked = Problem(likelihood, _loaded(kind, self.prior, shape, perturbation))
+        asked = Problem(likelihood, loaded(kind, self.prior, shape, perturbation))
         key_data, key = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), index))
         y = likelihood.simulate(key_data, self.truths[index])
         posterior = asked.condition(y)
@@ -167,10 +168,3 @@ def _known(problem: str) -> Known:
 def _exact(problem: str, count: int):  # noqa: ANN202
     exact = _known(problem).exact
     return jax.jit(lambda key, y: exact(key, y, count))
-
-
-@cache
-def _loaded(
-    kind: type, prior: str, shape: tuple[int, ...], perturbation: str
-) -> ScorePrior | EnergyPrior:
-    return kind.load(prior, shape, perturbation)

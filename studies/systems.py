@@ -12,7 +12,8 @@ from ..estimators import anscombe_denoised, mmse, red
 from ..models.camera import Poisson
 from ..models.likelihood import LinearLikelihood
 from ..models.optics import Identity
-from ..models.priors import ScorePrior
+from ..models.priors import EnergyPrior, ScorePrior
+from ..models.priors.learned import LearnedPrior
 from ..presets import SAMPLERS, start_of
 from ..problem import Posterior, Problem
 from ..samplers import AnnealedLangevin, Kawar, Sampler
@@ -32,10 +33,10 @@ class Recording(NamedTuple):
     key: jax.Array
     draws: int
 
-    def posterior(self, perturbation: str) -> Posterior:
+    def posterior(self, perturbation: str, kind: type[LearnedPrior] = ScorePrior) -> Posterior:
         """Under the prior of that annealing error."""
         likelihood = LinearLikelihood(Identity(self.y.shape), self.camera)
-        prior = _loaded(self.prior, self.y.shape, perturbation)
+        prior = loaded(kind, self.prior, self.y.shape, perturbation)
         return Problem(likelihood, prior).condition(self.y)
 
 
@@ -54,8 +55,11 @@ class System(NamedTuple):
 
 
 @cache
-def _loaded(prior: str, shape: tuple[int, ...], perturbation: str) -> ScorePrior:
-    return ScorePrior.load(prior, shape, perturbation)
+def loaded(
+    kind: type[LearnedPrior], prior: str, shape: tuple[int, ...], perturbation: str
+) -> LearnedPrior:
+    """The learned prior of that name, read once."""
+    return kind.load(prior, shape, perturbation)
 
 
 def _recorded(recording: Recording) -> np.ndarray:
@@ -95,9 +99,13 @@ def _anscombe(recording: Recording, shares: tuple[float, ...]) -> np.ndarray:
 
 
 def _drawn(
-    recording: Recording, name: str, perturbation: str, build: Callable[[Posterior], Sampler]
+    recording: Recording,
+    name: str,
+    perturbation: str,
+    build: Callable[[Posterior], Sampler],
+    kind: type[LearnedPrior] = ScorePrior,
 ) -> np.ndarray:
-    posterior, count = recording.posterior(perturbation), recording.draws
+    posterior, count = recording.posterior(perturbation, kind), recording.draws
     start = start_of(name, posterior, recording.key, count)
     run = sample(
         posterior, build(posterior), recording.key, chains=count, draws=1, start=start,
@@ -108,6 +116,11 @@ def _drawn(
 
 def _printed(_: Posterior) -> AnnealedLangevin:
     return AnnealedLangevin(levels=45, steps=4, published=True)
+
+
+def _then_mala(_: Posterior) -> AnnealedLangevin:
+    """As many levels and steps as annealing has of a score, and a warm-up and 200 steps of MALA."""
+    return AnnealedLangevin(levels=45, steps=4, polish=200)
 
 
 def _published_kawar(posterior: Posterior) -> Kawar:
@@ -176,5 +189,12 @@ SYSTEMS = {
         _sampler("annealed", "signal"), True, "arXiv 2212.03235, along the convolved path"
     ),
     "annealed": System(_sampler("annealed", "gaussian"), True, "with the Gaussian error"),
+    "annealed, then MALA": System(
+        partial(
+            _drawn, name="annealed", perturbation="gaussian", build=_then_mala, kind=EnergyPrior
+        ),
+        True,
+        "of the energy network, Metropolis-adjusted in the end",
+    ),
     "thickening": System(_sampler("thickening", "poisson"), True, "this project"),
 }

@@ -154,10 +154,12 @@ def _located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
     for path in (FOLDER / file, Path(file), FOLDER / f"{name}.safetensors"):
         if path.exists():
             return path
+    ending = f"-{perturbation}-{kind}"
+    fitting = [stem.removesuffix(ending) for stem in shipped() if stem.endswith(ending)]
     raise ValueError(
         f"no {kind} weights {str(name)!r} for the {perturbation} perturbation: use one of "
-        f"{', '.join(shipped()) or '(none)'}, or the path of a .safetensors file, or what such "
-        f"paths begin with, before -{perturbation}-{kind}.safetensors"
+        f"{', '.join(fitting) or '(none)'}, or the path of a .safetensors file, or what such "
+        f"paths begin with, before {ending}.safetensors"
     )
 
 

@@ -25,8 +25,7 @@ from ..studies import (
     as_table,
     held_out,
     measure,
-    measured_table,
-    model_table,
+    measured_report,
     names_of,
     picture,
     read_captures,
@@ -152,13 +151,12 @@ def measured(
     identities = {name: {**identity, "captures": _hash(fields[name].captures)} for name in fields}
 
     def write(found: Found) -> None:
-        tables = [measured_table(work, name, answers) for name, answers in found.items()]
         shown = {
             name: {system: _in_grey(fields[name], answer) for system, answer in answers.items()}
             for name, answers in found.items()
         }
         truths = {name: work.truth(name, 0, scaled=True) for name in shown}
-        _write(out, "\n".join([model_table(fields), *tables]), shown, truths)
+        _write(out, measured_report(work, found), shown, truths)
 
     _run(out, identities, names, pictures, work, write, quiet)
 

@@ -155,7 +155,10 @@ def test_weights_for_another_problem_are_refused(weights):
         EnergyPrior.load(weights, SHAPE)
     with pytest.raises(ValueError, match="3 channels"):
         ScorePrior.load(weights, (4, 4, 3))
-    with pytest.raises(ValueError, match="no score weights 'nothing'"):
+    with pytest.raises(
+        ValueError,
+        match=r"'nothing' for the gaussian perturbation: use one of cells, cells-large, com",
+    ):
         ScorePrior.load("nothing", SHAPE)
     with pytest.raises(FileNotFoundError, match="no file"):
         ScorePrior.load("nothing.safetensors", SHAPE)

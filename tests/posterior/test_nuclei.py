@@ -34,16 +34,32 @@ DRAWS = int(os.environ.get("NUCLEI_DRAWS", 64))
 PART = os.environ.get("NUCLEI_PART", "test")
 PRIOR = os.environ.get("NUCLEI_PRIOR", "nuclei")
 ASKED = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
-# Name in the table: name of the sampler, and perturbation of the prior.
+
+
+def preset(name, kind=models.ScorePrior):
+    """The command line's sampler of that name."""
+    return name, kind, presets.SAMPLERS[name].build
+
+
+def as_long(**more):
+    """Annealing of an energy, with as many levels and steps as the preset has of scores."""
+    settings = {"levels": 45, "steps": 4, **more}
+    return "annealed", models.EnergyPrior, lambda _: ps.samplers.AnnealedLangevin(**settings)
+
+
+# Name in the table: perturbation of the prior, name of the sampler, kind of the prior, the sampler.
 SAMPLERS = {
-    "thickening": ("thickening", "poisson"),
-    "annealed": ("annealed", "gaussian"),
-    "annealed-signal": ("annealed", "signal"),
-    "split-signal": ("annealed-split", "signal"),
-    "split-gibbs": ("split-gibbs", "gaussian"),
-    "daps": ("daps", "gaussian"),
-    "dps": ("dps", "gaussian"),
-    "kawar": ("kawar", "gaussian"),
+    "thickening": ("poisson", *preset("thickening")),
+    "annealed": ("gaussian", *preset("annealed")),
+    "annealed-signal": ("signal", *preset("annealed")),
+    "split-signal": ("signal", *preset("annealed-split")),
+    "split-gibbs": ("gaussian", *preset("split-gibbs")),
+    "daps": ("gaussian", *preset("daps")),
+    "dps": ("gaussian", *preset("dps")),
+    "kawar": ("gaussian", *preset("kawar")),
+    "signal-energy": ("signal", *as_long()),
+    "mala-energy": ("gaussian", *as_long(polish=200)),
+    "mala-signal-energy": ("signal", *as_long(polish=200)),
 }
 SIDE, BATCH = 64, 16
 
@@ -108,15 +124,14 @@ def drawn(truth, full_well, sampler):
     """Recordings, draws (n, draws, 64, 64), and seconds a draw."""
     camera = models.Poisson(full_well)
     likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
-    sampler, perturbation = SAMPLERS[sampler]
-    prior = models.ScorePrior.load(PRIOR, (SIDE, SIDE), perturbation)
+    perturbation, sampler, kind, build = SAMPLERS[sampler]
+    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation)
     problem = ps.Problem(likelihood, prior)
     y = np.stack([camera.sample(jax.random.key(i), jnp.asarray(x)) for i, x in enumerate(truth)])
     found, began = [], time.perf_counter()
     chains = min(BATCH, DRAWS)
     for i, recording in enumerate(y):
         posterior = problem.condition(recording)
-        build = presets.SAMPLERS[sampler].build
         key, settings = jax.random.key(1000 + i), {"chains": chains, "draws": DRAWS // chains}
         settings["start"] = presets.start_of(sampler, posterior, key, chains)
         run = ps.sample(posterior, build(posterior), key, progress=False, **settings)
