@@ -32,7 +32,8 @@ APPLICATIONS = {
 # Kinds of weights that answer for real pictures, by what the table calls them.
 PICTURES = {
     "pictures, score network": (ScorePrior, "signal"),
-    "pictures, energy network": (EnergyPrior, "gaussian"),
+    "pictures, energy network": (EnergyPrior, "signal"),
+    "pictures, energy network of the Gaussian error": (EnergyPrior, "gaussian"),
 }
 EXACT = "exact"
 # Of MALA.
@@ -104,9 +105,8 @@ class OnPictures(NamedTuple):
     """The study on real pictures under learned priors, whose posteriors nobody knows.
 
     `truths` (n, h, w) in 0..1, recorded with true Poisson counts of `full_well` electrons. The
-    printed form is for the signal-dependent error, of which there is a score network; a Metropolis
-    test needs the density of an energy network, of the Gaussian error. Rows of one network compare
-    the approximations, rows of both the networks too.
+    printed form is for the signal-dependent error; a Metropolis test needs the density of an energy
+    network. Rows of one network compare the approximations, rows of several the networks too.
     """
 
     truths: np.ndarray

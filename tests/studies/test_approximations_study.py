@@ -166,7 +166,8 @@ def test_every_variant_answers_six_pixels_of_ptychography(variant):
     [
         ("pictures, score network", "printed"),
         ("pictures, score network", "split"),
-        ("pictures, energy network", "convolved + MALA"),
+        ("pictures, energy network", "printed + MALA"),
+        ("pictures, energy network of the Gaussian error", "convolved + MALA"),
     ],
 )
 def test_pictures_are_answered_closer_than_they_were_recorded(problem, variant):
@@ -183,7 +184,7 @@ def test_pictures_refuse_what_does_not_apply():
     """The printed form without its error, and a Metropolis test without a density."""
     work = OnPictures(np.full((1, 16, 16), 0.3, np.float32), "nuclei", 100, 8, 2, 1, 0)
     with pytest.raises(ValueError, match="of the signal-dependent error"):
-        work("printed", "pictures, energy network", 0)
+        work("printed", "pictures, energy network of the Gaussian error", 0)
     with pytest.raises(ValueError, match="no density"):
         work("printed + MALA", "pictures, score network", 0)
 
