@@ -85,7 +85,8 @@ class Measured(NamedTuple):
     first, where of eight places the average has the most contrast. Callable as the harness wants.
 
     `simulated`: a control, in which the camera's model draws the counts from the average; what is
-    off there is the prior or the system, and not the noise.
+    off there is the prior or the system, and not the noise. `right`: patches are of right halves
+    alone, for a prior that learnt from the left ones (`left_halves`).
     """
 
     fields: dict[str, Captures]
@@ -94,6 +95,7 @@ class Measured(NamedTuple):
     draws: int
     seed: int
     simulated: bool = False
+    right: bool = False
 
     def __call__(self, system: str, condition: str, index: int) -> np.ndarray:
         return np.asarray(SYSTEMS[system].answer(self.recording(condition, index)))
@@ -138,10 +140,14 @@ class Measured(NamedTuple):
     def _cut(self, condition: str, index: int, image: np.ndarray) -> np.ndarray:
         average = self.fields[condition].average
         rng = np.random.default_rng((self.seed, index))
+        first = average.shape[1] // 2 if self.right else 0
         rows, columns = (n - self.side + 1 for n in average.shape)
-        if min(rows, columns) < 1:
-            raise ValueError(f"{condition} is {average.shape}: smaller than --size {self.side}")
-        corners = rng.integers(0, (rows, columns), (_PLACES, 2))
+        if rows < 1 or columns <= first:
+            of = "right half of " if self.right else ""
+            raise ValueError(
+                f"the {of}{average.shape} {condition} is smaller than --size {self.side}"
+            )
+        corners = rng.integers((0, first), (rows, columns), (_PLACES, 2))
         patches = [np.s_[i : i + self.side, j : j + self.side] for i, j in corners]
         return image[max(patches, key=lambda patch: average[patch].std())]
 
@@ -174,6 +180,14 @@ def _grey(path: Path) -> np.ndarray:
             f"{path} is {picture.dtype} of shape {picture.shape}: a capture is 8-bit grey (h, w)"
         )
     return picture
+
+
+def left_halves(field: Captures) -> list[np.ndarray]:
+    """Of the average, (h // 4, w // 2) four times, in units of the camera's full well: what a prior
+    of this microscope may learn from, where patches are of the right half (`Measured.right`).
+    """
+    light = field.to_object(field.average / WHITE).astype(np.float32)
+    return np.array_split(light[:, : light.shape[1] // 2], 4)
 
 
 def names_of(folder: str | os.PathLike) -> list[str]:

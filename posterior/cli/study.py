@@ -24,6 +24,7 @@ from ..studies import (
     Measured,
     as_table,
     held_out,
+    left_halves,
     measure,
     measured_report,
     names_of,
@@ -135,18 +136,31 @@ def measured(
     simulated: Annotated[
         bool, typer.Option("--simulated", help="A control: the model's counts of the average.")
     ] = False,
+    right: Annotated[
+        bool, typer.Option("--right", help="Patches of right halves alone, see --left-halves.")
+    ] = False,
+    left: Annotated[
+        Path | None,
+        typer.Option("--left-halves", help="Only write the left halves here, for posterior train."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Captures of a real field, beside the average of many; the camera is estimated from them."""
     names = _checked(system, pictures, draws)
     card_of(prior)
     fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
-    work = Measured(fields, prior, size, draws, seed, simulated)
+    if left is not None:
+        left.mkdir(parents=True, exist_ok=True)
+        for name, captures in fields.items():
+            for i, part in enumerate(left_halves(captures)):
+                np.save(left / f"{name}_{i}.npy", part)
+        return
+    work = Measured(fields, prior, size, draws, seed, simulated, right)
     for name in fields:
         work.truth(name, 0, scaled=True)
     identity = {
         "study": "measured", "weights": _weights(prior), "size": size, "draws": draws, "seed": seed,
-        "simulated": simulated,
+        "simulated": simulated, "right": right,
     }  # fmt: skip
     identities = {name: {**identity, "captures": _hash(fields[name].captures)} for name in fields}
 

@@ -10,6 +10,7 @@ from posterior.studies import (
     Captures,
     Measured,
     judged_capture,
+    left_halves,
     left_over,
     measured_table,
     read_captures,
@@ -114,6 +115,24 @@ def test_a_control_is_of_the_average_and_of_the_cameras_own_noise(fields):
     np.testing.assert_array_equal(study.predicted("field0", 0, images), field.to_grey(images))
 
 
+def test_halves_to_learn_from_and_to_be_tested_on_have_no_pixel_in_common(fields):
+    """The right half is brighter; the units are the camera's."""
+    rng = np.random.default_rng(3)
+    places = np.hstack([rng.integers(20, 100, (96, 48)), rng.integers(150, 240, (96, 48))])
+    field = fields["field0"]._replace(average=places.astype(float))
+    study = study_of({"field": field})._replace(right=True)
+    for i in range(PATCHES):
+        found = np.rint(study.truth("field", i, scaled=False) * 255)
+        assert found.min() >= 150
+    parts = left_halves(field)
+    assert [part.shape for part in parts] == [(24, 48)] * 4
+    np.testing.assert_allclose(255 * field.to_grey(np.vstack(parts)), places[:, :48], atol=1e-4)
+    with pytest.raises(
+        ValueError, match=r"right half of \(96, 96\) field is smaller than --size 64"
+    ):
+        study._replace(side=64).truth("field", 0, scaled=False)
+
+
 def test_the_light_of_a_capture_is_found_and_taken_out():
     rng = np.random.default_rng(2)
     light = 3 + 9 * np.kron(rng.uniform(size=(12, 12)), np.ones((8, 8)))
@@ -189,6 +208,10 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
         assert picture.size[0] > 300
     assert run(folder, tmp_path / "out", *options, "--seed", "1") == 2
     assert "is of another campaign" in capsys.readouterr().err
+    parts = tmp_path / "parts"
+    assert not run(folder, tmp_path / "none", "--left-halves", parts)
+    assert sorted(path.name for path in parts.iterdir()) == [f"Wide_A_{i}.npy" for i in range(4)]
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(
