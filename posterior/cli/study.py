@@ -147,7 +147,7 @@ def measured(
 ) -> None:
     """Captures of a real field, beside the average of many; the camera is estimated from them."""
     names = _checked(system, pictures, draws)
-    card_of(prior)
+    weights = _weights(prior)
     fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
     if left is not None:
         left.mkdir(parents=True, exist_ok=True)
@@ -159,7 +159,7 @@ def measured(
     for name in fields:
         work.truth(name, 0, scaled=True)
     identity = {
-        "study": "measured", "weights": _weights(prior), "size": size, "draws": draws, "seed": seed,
+        "study": "measured", "weights": weights, "size": size, "draws": draws, "seed": seed,
         "simulated": simulated, "right": right,
     }  # fmt: skip
     identities = {name: {**identity, "captures": _hash(fields[name].captures)} for name in fields}
@@ -211,11 +211,13 @@ def _features(name: str, prior: str, shape: tuple[int, ...]) -> Features:
 
 
 def _weights(prior: str) -> dict[str, str]:
-    """Hash of the weights for each annealing error that the prior has."""
+    """Hash of the weights for each annealing error that the prior has; refused if it has none."""
     found = {}
     for perturbation in PERTURBATIONS:
         with contextlib.suppress(FileNotFoundError, ValueError):
             found[perturbation] = card_of(prior, "score", perturbation)["sha256"]
+    if not found:
+        card_of(prior)
     return found
 
 
