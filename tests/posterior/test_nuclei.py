@@ -19,6 +19,7 @@ from known import block_means
 from posterior import models, presets
 from posterior.diagnostics import randomised_ranks, spread_over_error, uniformity
 from posterior.estimators import anscombe_denoised
+from posterior.models.priors.perturbation import perturbed, signal_score_loss
 from posterior.models.priors.storage import card_of
 from posterior.studies import held_out
 from posterior.train import Preparation, prepare
@@ -210,3 +211,20 @@ def test_the_network_alone_beats_bm3d(kind):
     assert all(row["network"] > row["bm3d"] for row in table.values())
     assert table["0.1"]["network"] > table["0.1"]["bm3d"] + 0.5
     assert table["0.2"]["network"] > table["0.2"]["bm3d"] + 1.3
+
+
+@pytest.mark.parametrize("sigma", [0.025, 0.05, 0.1, 0.2, 0.4, 0.8])
+def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
+    """The energy is trained by it, the score network as a denoiser: from 0.2 on that is worse."""
+    folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
+    card = card_of("nuclei", "score", "signal")
+    clean = jnp.asarray(held_out(card, folder, "validation", 32, SIDE))
+    keys = jax.random.split(jax.random.key(0), len(clean))
+    z = jax.vmap(lambda key, x: perturbed(key, x, sigma, "signal", False))(keys, clean)
+    losses = []
+    for kind in (models.ScorePrior, models.EnergyPrior):
+        prior = kind.load("nuclei", (SIDE, SIDE), "signal")
+        score = jax.jit(lambda z, prior=prior: jax.lax.map(lambda z: prior.score(z, sigma), z))(z)
+        losses.append(float(signal_score_loss(score, clean, z, sigma, prior.statistics.lowest)))
+    print(f"\nsigma {sigma}: score {losses[0]:.4f}, energy {losses[1]:.4f}")
+    assert losses[1] < 1.05 * losses[0] if sigma < 0.2 else losses[1] < losses[0]
