@@ -5,7 +5,7 @@ from .approximations_plot import cost_picture
 from .approximations_report import cost_table, costs
 from .denoising import Denoising
 from .harness import Answer, measure
-from .measured import Captures, Measured, left_halves, names_of, read_captures
+from .measured import Captures, Measured, left_halves_of, names_of, read_captures
 from .measured_report import judged_capture, left_over, measured_report, measured_table
 from .phase_report import aligned, judged_phases, phase_table, protocol_notes, variance_picture
 from .phase_retrieval import PhaseRetrieval, pictures_of
@@ -44,7 +44,7 @@ __all__ = [
     "judged_capture",
     "judged_objects",
     "judged_phases",
-    "left_halves",
+    "left_halves_of",
     "left_over",
     "measure",
     "measured_report",

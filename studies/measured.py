@@ -86,7 +86,7 @@ class Measured(NamedTuple):
 
     `simulated`: a control, in which the camera's model draws the counts from the average; what is
     off there is the prior or the system, and not the noise. `right`: patches are of right halves
-    alone, for a prior that learnt from the left ones (`left_halves`).
+    alone, for a prior that learnt from the left ones (`left_halves_of`).
     """
 
     fields: dict[str, Captures]
@@ -182,7 +182,7 @@ def _grey(path: Path) -> np.ndarray:
     return picture
 
 
-def left_halves(field: Captures) -> list[np.ndarray]:
+def left_halves_of(field: Captures) -> list[np.ndarray]:
     """Of the average, (h // 4, w // 2) four times, in units of the camera's full well: what a prior
     of this microscope may learn from, where patches are of the right half (`Measured.right`).
     """

@@ -20,11 +20,12 @@ from ..models.priors.storage import card_of
 from ..studies import (
     SYSTEMS,
     Answer,
+    Captures,
     Denoising,
     Measured,
     as_table,
     held_out,
-    left_halves,
+    left_halves_of,
     measure,
     measured_report,
     names_of,
@@ -139,21 +140,18 @@ def measured(
     right: Annotated[
         bool, typer.Option("--right", help="Patches of right halves alone, see --left-halves.")
     ] = False,
-    left: Annotated[
-        Path | None,
-        typer.Option("--left-halves", help="Only write the left halves here, for posterior train."),
-    ] = None,
+    left_halves: Annotated[
+        bool,
+        typer.Option("--left-halves", help="Only write those to --out, for posterior train."),
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Captures of a real field, beside the average of many; the camera is estimated from them."""
     names = _checked(system, pictures, draws)
     weights = _weights(prior)
     fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
-    if left is not None:
-        left.mkdir(parents=True, exist_ok=True)
-        for name, captures in fields.items():
-            for i, part in enumerate(left_halves(captures)):
-                np.save(left / f"{name}_{i}.npy", part)
+    if left_halves:
+        _write_left_halves(out, fields)
         return
     work = Measured(fields, prior, size, draws, seed, simulated, right)
     for name in fields:
@@ -173,6 +171,13 @@ def measured(
         _write(out, measured_report(work, found), shown, truths)
 
     _run(out, identities, names, pictures, work, write, quiet)
+
+
+def _write_left_halves(out: Path, fields: dict[str, Captures]) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    for name, captures in fields.items():
+        for i, part in enumerate(left_halves_of(captures)):
+            np.save(out / f"{name}_{i}.npy", part)
 
 
 def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:

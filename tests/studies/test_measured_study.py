@@ -10,7 +10,7 @@ from posterior.studies import (
     Captures,
     Measured,
     judged_capture,
-    left_halves,
+    left_halves_of,
     left_over,
     measured_table,
     read_captures,
@@ -124,7 +124,7 @@ def test_halves_to_learn_from_and_to_be_tested_on_have_no_pixel_in_common(fields
     for i in range(PATCHES):
         found = np.rint(study.truth("field", i, scaled=False) * 255)
         assert found.min() >= 150
-    parts = left_halves(field)
+    parts = left_halves_of(field)
     assert [part.shape for part in parts] == [(24, 48)] * 4
     np.testing.assert_allclose(255 * field.to_grey(np.vstack(parts)), places[:, :48], atol=1e-4)
     with pytest.raises(
@@ -209,9 +209,8 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     assert run(folder, tmp_path / "out", *options, "--seed", "1") == 2
     assert "is of another campaign" in capsys.readouterr().err
     parts = tmp_path / "parts"
-    assert not run(folder, tmp_path / "none", "--left-halves", parts)
+    assert not run(folder, parts, "--left-halves")
     assert sorted(path.name for path in parts.iterdir()) == [f"Wide_A_{i}.npy" for i in range(4)]
-    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(
