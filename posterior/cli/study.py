@@ -178,6 +178,7 @@ def _write_left_halves(out: Path, fields: dict[str, Captures]) -> None:
     for name, captures in fields.items():
         for i, part in enumerate(left_halves_of(captures)):
             np.save(out / f"{name}_{i}.npy", part)
+    typer.echo(f"left halves of {len(fields)} average(s) written to {out}")
 
 
 def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:

@@ -37,9 +37,9 @@ PRIOR = os.environ.get("NUCLEI_PRIOR", "nuclei")
 ASKED = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
 
 
-def preset(name, kind=models.ScorePrior):
-    """The command line's sampler of that name."""
-    return name, kind, presets.SAMPLERS[name].build
+def preset(name):
+    """The command line's sampler of that name, under a score."""
+    return name, models.ScorePrior, presets.SAMPLERS[name].build
 
 
 def as_long(**more):
@@ -60,7 +60,6 @@ SAMPLERS = {
     "kawar": ("gaussian", *preset("kawar")),
     "signal-energy": ("signal", *as_long()),
     "mala-energy": ("gaussian", *as_long(polish=200)),
-    "mala-signal-energy": ("signal", *as_long(polish=200)),
 }
 SIDE, BATCH = 64, 16
 

@@ -210,6 +210,7 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
     assert "is of another campaign" in capsys.readouterr().err
     parts = tmp_path / "parts"
     assert not run(folder, parts, "--left-halves")
+    assert "left halves of 1 average(s) written" in capsys.readouterr().out
     assert sorted(path.name for path in parts.iterdir()) == [f"Wide_A_{i}.npy" for i in range(4)]
 
 
