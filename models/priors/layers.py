@@ -162,3 +162,11 @@ def scatter_pixels(x: jax.Array, factor: int = 2) -> jax.Array:
     c = c // (factor * factor)
     x = x.reshape(h, w, factor, factor, c)
     return x.transpose(0, 2, 1, 3, 4).reshape(h * factor, w * factor, c)
+
+
+def mean_pool(x: jax.Array, side: int, stride: int) -> jax.Array:
+    """Mean of (h, w, c) over squares; what lies outside the image does not count."""
+    window, strides = (side, side, 1), (stride, stride, 1)
+    total = lax.reduce_window(x, 0.0, lax.add, window, strides, "SAME")
+    count = lax.reduce_window(jnp.ones_like(x), 0.0, lax.add, window, strides, "SAME")
+    return total / count

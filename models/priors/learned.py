@@ -29,12 +29,12 @@ from ..realview import normal_like, real_size
 from ..thinning import thickened
 from .base import Prior, checked_shape
 from .denoiser import Denoiser, Statistics
-from .layers import frozen
+from .layers import frozen, mean_pool
 from .mixture import GaussianMixture
 from .perturbation import folded_energy, refuse_counts, score_from_denoised
 
-_APART = 4  # pixels, of those that `EnergyPrior.denoise` asks together
-_REACH = 2  # pixels, of a neighbourhood
+_APART = 4  # pixels, of those that `EnergyPrior.channel_clean` asks together
+_AROUND = 5  # pixels, the side of a neighbourhood
 
 
 class LearnedPrior(Prior):
@@ -226,8 +226,8 @@ class EnergyPrior(LearnedPrior):
         if self.perturbation == "poisson":
             raise ValueError("counts have no density: load these weights as a ScorePrior")
 
-    def denoise(self, x: jax.Array, sigma: jax.Array | float) -> jax.Array:
-        """As of every prior; for "signal" it costs 16 evaluations of the score.
+    def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
+        """From the score, by Tweedie's formula; for "signal" by 16 evaluations of it.
 
         The harmonic mean D is in that score as z/D, which says little of it where z is far below D.
         But D hardly depends on its own pixel's z: each pixel is asked with its z raised to what
@@ -236,11 +236,10 @@ class EnergyPrior(LearnedPrior):
         test_learned.py.
         """
         if self.perturbation == "gaussian":
-            return super().denoise(x, sigma)
-        channels, sigma = self._prepared(x, sigma)
-        z = jnp.abs(channels)
-        mean = _local_mean(z)
-        variance = _local_mean(jnp.square(z - mean)) + jnp.finfo(z.dtype).tiny
+            return x + self._component_sd(sigma) ** 2 * self.channel_score(x, sigma)
+        z = jnp.abs(x)
+        mean = mean_pool(z, _AROUND, 1)
+        variance = mean_pool(jnp.square(z - mean), _AROUND, 1) + jnp.finfo(z.dtype).tiny
         noise = jnp.minimum(sigma**2 * mean / variance, 1.0)
         raised_to = jnp.maximum(z, z + noise * (mean - z))
         rows, columns = (jnp.arange(n) % _APART for n in z.shape[:2])
@@ -248,19 +247,19 @@ class EnergyPrior(LearnedPrior):
         def asked(place: jax.Array, clean: jax.Array) -> jax.Array:
             row, column = jnp.divmod(place, _APART)
             raised = ((rows == row)[:, None] & (columns == column))[..., None]
-            found = self.channel_clean(jnp.where(raised, raised_to, z), sigma)
+            found = self.harmonic_mean(jnp.where(raised, raised_to, z), sigma)
             return jnp.where(raised, found, clean)
 
-        return self._to_object_like(jax.lax.fori_loop(0, _APART**2, asked, z), x)
+        return jax.lax.fori_loop(0, _APART**2, asked, z)
 
-    def channel_clean(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
-        """From the score, by Tweedie's formula; for "signal" a rough D where x is near zero."""
-        if self.perturbation == "gaussian":
-            return x + self._component_sd(sigma) ** 2 * self.channel_score(x, sigma)
-        # The score is (tanh(z/sigma^2) - z/D)/sigma^2; what leaves no D between the least value
-        # and 1 is noise.
-        z = jnp.maximum(jnp.abs(x), 0.01 * self.statistics.lowest)
+    def harmonic_mean(self, z: jax.Array, sigma: jax.Array) -> jax.Array:
+        """D as the score at channels z >= 0 has it, (tanh(z/sigma^2) - z/D)/sigma^2.
+
+        Where z is far below D it is mostly the score's error.
+        """
+        z = jnp.maximum(z, 0.01 * self.statistics.lowest)
         inverse = (jnp.tanh(z / sigma**2) - sigma**2 * self.channel_score(z, sigma)) / z
+        # What leaves no D between the least value and 1 is noise.
         return 1 / jnp.clip(inverse, 1.0, 1 / self.statistics.lowest)
 
     def channel_score(self, x: jax.Array, sigma: jax.Array) -> jax.Array:
@@ -289,14 +288,6 @@ def energy(denoiser: Denoiser, x: jax.Array, sigma: jax.Array) -> jax.Array:
         return jnp.sum(folded_energy(x, clean, sigma))
     variance = component_sd(sigma, stats.complex_valued) ** 2
     return jnp.sum(jnp.square(x - clean) / (2 * variance))
-
-
-def _local_mean(x: jax.Array) -> jax.Array:
-    """Of the 5x5 pixels about each of (h, w, c), the edges repeated."""
-    wide = jnp.pad(x, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), mode="edge")
-    window = (2 * _REACH + 1, 2 * _REACH + 1, 1)
-    total = jax.lax.reduce_window(wide, 0.0, jax.lax.add, window, (1, 1, 1), "VALID")
-    return total / (2 * _REACH + 1) ** 2
 
 
 def suited_shape(shape: tuple[int, ...], denoiser: Denoiser) -> tuple[int, ...]:
@@ -335,8 +326,7 @@ def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
     x = prior._noise_about_mean(key, prior.denoiser.channel_sd(sigmas[0]))
 
     def slope(x: jax.Array, sigma: jax.Array) -> jax.Array:
-        # Where an energy's own `denoise` takes more care, x is near zero and D hardly counts.
-        mean = LearnedPrior.denoise(prior, x, sigma)
+        mean = prior.denoise(x, sigma)
         return (x - (jnp.tanh(x / sigma**2) * mean if signal else mean)) / sigma
 
     def advance(x: jax.Array, pair: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .layers import Conv, LevelEmbedding, Linear, new_conv
+from .layers import Conv, LevelEmbedding, Linear, mean_pool, new_conv
 
 
 class NCSNv2(eqx.Module):
@@ -129,7 +129,7 @@ class ResidualBlock(eqx.Module):
         for norm, conv in zip(self.norms, self.convs):
             h = conv(jax.nn.elu(norm(h, level)))
         h = h + (x if self.shortcut is None else self.shortcut(x))
-        return _pool(h, 2, 2) if self.shrink else h
+        return mean_pool(h, 2, 2) if self.shrink else h
 
 
 class RefineBlock(eqx.Module):
@@ -154,7 +154,7 @@ class RefineBlock(eqx.Module):
         total = sum(jax.image.resize(p, (h, w, p.shape[-1]), "bilinear") for p in parts)
         total = path = jax.nn.elu(total)
         for conv in self.chain:
-            path = conv(_pool(path, 5, 1))
+            path = conv(mean_pool(path, 5, 1))
             total = total + path
         return self.finish(total, level)
 
@@ -176,11 +176,3 @@ class ConvUnit(eqx.Module):
         for norm, conv in zip(self.norms, self.convs):
             h = conv(jax.nn.elu(norm(h, level)))
         return x + h
-
-
-def _pool(x: jax.Array, side: int, stride: int) -> jax.Array:
-    """Mean over squares; what lies outside the image does not count."""
-    window, strides = (side, side, 1), (stride, stride, 1)
-    total = lax.reduce_window(x, 0.0, lax.add, window, strides, "SAME")
-    count = lax.reduce_window(jnp.ones_like(x), 0.0, lax.add, window, strides, "SAME")
-    return total / count
