@@ -20,6 +20,7 @@ from ..presets import (
     is_shipped,
     is_trained,
     weights_card,
+    whole_path,
 )
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
@@ -76,8 +77,11 @@ class Options:
     def resolved(self) -> "Options":
         """With the defaults of problem and sampler filled in; refuses what cannot go together."""
         application = _known("problem", self.problem, APPLICATIONS)
-        name = self.sampler or best_sampler(self.problem, self.prior)
-        sampling = _known("sampler", name, SAMPLERS)
+        if self.sampler is not None:
+            _known("sampler", self.sampler, SAMPLERS)
+        prior = whole_path(self.problem, self.prior, self.sampler)
+        name = self.sampler or best_sampler(self.problem, prior)
+        sampling = SAMPLERS[name]
         if sum(source is not None for source in (self.image, self.data, self.stack)) != 1:
             raise ValueError(
                 "give either --image (a picture to record) or --data (a recording), or --stack "
@@ -97,15 +101,15 @@ class Options:
             _check_range(option, getattr(self, option), least, most)
         for option, (problem, known) in _OF_ONE.items():
             _check_of_one(option, getattr(self, option), self.problem, problem, known)
-        if is_trained(self.prior):
-            weights_card(self.prior, sampling.needs)
+        if is_trained(prior):
+            weights_card(prior, sampling.needs)
         full_well, bits = self._camera(application)
         return dataclasses.replace(
             self,
             image=_absolute(self.image),
             data=_absolute(self.data),
             stack=_absolute(self.stack),
-            prior=self.prior if is_shipped(self.prior) else _absolute(self.prior),
+            prior=prior if is_shipped(prior) else _absolute(prior),
             full_well=full_well,
             bits=bits,
             sampler=name,

@@ -34,7 +34,8 @@ def command(
     seed: Annotated[int, typer.Option(help="Same seed, same draws.")] = 0,
     size: Annotated[int | None, typer.Option(help="Pixels a side of the object.")] = None,
     prior: Annotated[
-        str | None, typer.Option(help="A picture or a folder of them, or trained weights by name.")
+        str | None,
+        typer.Option(help="A picture or a folder of them, or trained weights by name or path."),
     ] = None,
     irradiance: Annotated[float | None, typer.Option(help="Signal at a field of 1.")] = None,
     page: Annotated[int | None, typer.Option(help="Of a file of many, from 0.")] = None,

@@ -24,6 +24,7 @@ from .prior import (
     is_trained,
     scout_of,
     weights_card,
+    whole_path,
 )
 from .questions import measured, record, simulate
 from .recordings import picture_of

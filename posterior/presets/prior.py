@@ -35,6 +35,29 @@ def is_shipped(prior: str | None) -> bool:
     return prior in shipped_names() or prior in shipped()
 
 
+def whole_path(name: str, prior: str | None, sampler: str | None) -> str | None:
+    """The .safetensors file whose path `prior` begins, before "-gaussian-score.safetensors" and the
+    like, and that the sampler takes; anything else as it is.
+
+    Raises ValueError if weights begin so, but none that the sampler takes.
+    """
+    if prior is None or is_trained(prior) or Path(prior).exists():
+        return prior
+    found = sorted(Path(prior).parent.glob(f"{Path(prior).name}-*.safetensors"))
+    counts_first = ["counts", "annealed score"] if name == DENOISING else ["annealed score"]
+    for needs in counts_first if sampler is None else [SAMPLERS[sampler].needs]:
+        kind, perturbation = _WEIGHTS[needs]
+        path = Path(f"{prior}-{perturbation}-{kind}.safetensors")
+        if path in found:
+            return str(path)
+    if found:
+        raise ValueError(
+            f"--prior {prior}: it begins {', '.join(path.name for path in found)}; give the whole "
+            f"path of one, or weights that end in -{perturbation}-{kind}.safetensors"
+        )
+    return prior
+
+
 def channels_of(prior: str | None, needs: str) -> int:
     """Channels of a picture that the prior takes together: 3 in colour; complex ones have 2."""
     return weights_card(prior, needs)["network"]["channels"] if is_trained(prior) else 1

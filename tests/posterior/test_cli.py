@@ -372,6 +372,36 @@ def test_named_weights_are_those_that_the_sampler_needs(needs, sampler, kind):
     presets.SAMPLERS[sampler].build(question.problem.condition(question.y))
 
 
+@pytest.mark.parametrize(
+    "problem, sampler, kind, chosen",
+    [
+        ("denoising", None, "poisson-score", "thickening"),
+        ("denoising", "annealed", "gaussian-score", "annealed"),
+        ("phase-retrieval", None, "gaussian-score", "annealed"),
+        ("denoising", "mala", "gaussian-energy", "mala"),
+    ],
+)
+def test_weights_may_be_named_by_what_their_paths_begin_with(
+    tmp_path, problem, sampler, kind, chosen
+):
+    for weights in FOLDER.glob("nuclei-[gp]*"):
+        (tmp_path / weights.name).symlink_to(weights)
+    options = Options(problem, image="x.png", prior=str(tmp_path / "nuclei"), sampler=sampler)
+    found = options.resolved()
+    assert found.prior == str(tmp_path / f"nuclei-{kind}.safetensors")
+    assert found.sampler == chosen
+    assert found.resolved() == found
+
+
+def test_weights_that_begin_so_but_are_not_what_the_sampler_needs(tmp_path):
+    for weights in FOLDER.glob("nuclei-poisson*"):
+        (tmp_path / weights.name).symlink_to(weights)
+    options = Options("denoising", image="x.png", prior=str(tmp_path / "nuclei"), sampler="dps")
+    wanted = "begins nuclei-poisson-score.safetensors; .* end in -gaussian-score.safetensors"
+    with pytest.raises(ValueError, match=wanted):
+        options.resolved()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("problem, prior", LEARNED)
 def test_a_trained_prior_serves_each_application(
