@@ -1,5 +1,6 @@
 """The price of each approximation at a glance: a row for each problem, a mark for each variant."""
 
+import textwrap
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
@@ -18,6 +19,8 @@ _LOOKS = dict(
     )
 )  # fmt: skip
 
+_NAME_WIDTH = 26  # characters; the four panels share what is left
+
 
 def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
     """Width, distance, coverage and time of {problem: {variant: `Cost`}}; lines are what is right.
@@ -31,7 +34,7 @@ def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
     panels = (
         ("sd over the exact sd", lambda c: c.spread if c.ratio is None else c.ratio, 1.0),
         (
-            "distance from exact over noise floor",
+            "distance from exact\nover noise floor",
             lambda c: None if c.distance is None else c.distance.over,
             1.0,
         ),
@@ -52,7 +55,8 @@ def cost_picture(found: Mapping[str, Mapping[str, Cost]]) -> Figure:
     for i in range(len(problems) - 1):
         for axis in axes:
             axis.axhline(i + 0.5, color="0.85", lw=0.8, zorder=0)
-    axes[0].set_yticks(range(len(problems)), problems)
+    names = [textwrap.fill(problem, _NAME_WIDTH) for problem in problems]
+    axes[0].set_yticks(range(len(problems)), names)
     axes[0].set_ylim(len(problems) - 0.5, -0.5)
     for i, axis in enumerate(axes[:2]):
         _plain_ticks(axis, (0.5, 1, 2, 4) if i == 0 else (1, 3, 10, 30))

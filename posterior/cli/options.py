@@ -145,6 +145,12 @@ def _known(kind: str, name: str, table: dict[str, Any]) -> Any:
     return table[name]
 
 
+def study_data(data: Path | None) -> Path | None:
+    """--data itself, or what has that name in the folder that POSTERIOR_DATA names."""
+    home = os.environ.get("POSTERIOR_DATA")
+    return Path(home) / data if home and data is not None and not data.exists() else data
+
+
 def asked_of(kind: str, asked: list[str] | None, known: Iterable[str]) -> list[str]:
     """The names asked for, all that are known if none is; refuses an unknown one."""
     for name in asked or ():

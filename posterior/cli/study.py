@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -35,7 +36,7 @@ from ..studies import (
 from ..studies.denoising import electrons
 from ..studies.report import protocol
 from . import study_approximations, study_phase, study_ptychography
-from .options import Quiet, asked_of
+from .options import Quiet, asked_of, study_data
 
 _SIGMAS = ("0.025", "0.05", "0.1", "0.2")
 
@@ -98,7 +99,7 @@ def denoising(
         raise ValueError(f"--part {part}: give test or validation")
     for value in sigma:
         Poisson(electrons(value), bits or None)
-    truths = held_out(card_of(prior), data, part, pictures, size)
+    truths = held_out(card_of(prior), study_data(data), part, pictures, size)
     seen = _features(features, prior, truths.shape[1:])
     identity = {
         "study": "denoising", "weights": _weights(prior), "part": part, "size": size,
@@ -149,6 +150,7 @@ def measured(
     """Captures of a real field, beside the average of many; the camera is estimated from them."""
     names = _checked(system, pictures, draws)
     weights = _weights(prior)
+    data = study_data(data)
     fields = {name: read_captures(data, name, frames) for name in field or names_of(data)}
     if left_halves:
         _write_left_halves(out, fields)
@@ -177,8 +179,13 @@ def _write_left_halves(out: Path, fields: dict[str, Captures]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for name, captures in fields.items():
         for i, part in enumerate(left_halves_of(captures)):
-            np.save(out / f"{name}_{i}.npy", part)
+            replace_whole(out / f"{name}_{i}.npy", partial(_save_array, part))
     typer.echo(f"left halves of {len(fields)} average(s) written to {out}")
+
+
+def _save_array(array: np.ndarray, path: str) -> None:
+    with open(path, "wb") as file:
+        np.save(file, array)
 
 
 def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:

@@ -22,7 +22,7 @@ from ..studies.approximations_plot import cost_picture
 from ..studies.approximations_report import Cost, cost_table, costs
 from ..studies.harness import Answer, measure
 from ..studies.pictures import held_out
-from .options import Quiet, asked_of
+from .options import Quiet, asked_of, study_data
 
 # Score networks err by more the longer they are followed: their presets have 45 levels of 4 steps.
 _PICTURE_LEVELS, _PICTURE_STEPS = 45, 4
@@ -71,7 +71,7 @@ def command(
     folder = out / "answers"
     answers = [measure(folder, identity, [EXACT, *names], problems, recordings, work)]
     if data is not None:
-        patches = held_out(card_of(prior), data, "test", pictures, size)
+        patches = held_out(card_of(prior), study_data(data), "test", pictures, size)
         truths |= dict.fromkeys(PICTURES, patches)
         of_pictures = OnPictures(
             patches, prior, _FULL_WELL, picture_draws, _PICTURE_LEVELS, _PICTURE_STEPS, seed

@@ -24,7 +24,7 @@ from ..studies import (
     variance_picture,
 )
 from ..studies.phase_retrieval import DEFINITIONS, Condition, check_alpha
-from .options import Quiet, asked_of
+from .options import Quiet, asked_of, study_data
 
 _ALPHAS = ("2", "3", "4")
 
@@ -82,7 +82,7 @@ def command(
             f"--pictures {pictures}, --draws {draws}, --seeds {seeds}, --seed {seed}: give draws "
             "of 2 or more, pictures and seeds of 1 or more, a seed of 0 or more"
         )
-    truths = pictures_of(data, prior, pictures)
+    truths = pictures_of(study_data(data), prior, pictures)
     count = len(truths) * seeds
     if count < 2:
         raise ValueError("one answer has no spread: give 2 pictures or seeds, or more")

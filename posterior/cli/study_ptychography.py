@@ -17,7 +17,7 @@ from ..studies.ptychography_plots import maps, psnr_panels, scatter
 from ..studies.ptychography_report import Judged, judged_objects, protocol, ptychography_table
 from ..studies.ptychography_systems import PTYCHOGRAPHY_SYSTEMS
 from ..studies.specimens import specimens
-from .options import Quiet, asked_of
+from .options import Quiet, asked_of, study_data
 from .study_stack import run_stack
 
 # One of the two is held while the other varies.
@@ -73,7 +73,7 @@ def command(
     by_leds = [Condition(value, _SIGMA).name for value in leds]
     conditions = list(dict.fromkeys([*by_sigma, *by_leds]))
     _check_conditions(conditions, size, bits)
-    truths = specimens(data, card_of(prior), part, objects, size)
+    truths = specimens(study_data(data), card_of(prior), part, objects, size)
     study = Ptychography(truths, prior, bits or None, draws, seed)
     identity = {
         "study": "ptychography", "weights": card_of(prior)["sha256"], "part": part, "size": size,

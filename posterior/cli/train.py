@@ -36,6 +36,7 @@ from ..training_report import (
     doubts,
     write_report,
 )
+from .options import study_data
 
 
 def command(
@@ -178,13 +179,11 @@ def _stem(out: Path) -> Path:
 
 
 def _data_folder(data: Path | None) -> Path:
-    """--data itself, or the folder of that name in the one that POSTERIOR_DATA names."""
+    """Of --data; unsaid, the folder that POSTERIOR_DATA names."""
     home = os.environ.get("POSTERIOR_DATA")
     if data is None and home is None:
         raise ValueError("no pictures: give a folder with --data, or set POSTERIOR_DATA")
-    if data is None:
-        return Path(home)
-    return Path(home) / data if home and not data.exists() else data
+    return Path(home) if data is None else study_data(data)
 
 
 def _widths(text: str) -> list[int]:

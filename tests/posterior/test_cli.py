@@ -5,6 +5,7 @@ import functools
 import json
 import os
 import re
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -14,7 +15,7 @@ from PIL import Image
 
 import posterior as ps
 from posterior import cli, models, presets, starts
-from posterior.cli.options import Options
+from posterior.cli.options import Options, study_data
 from posterior.cli.run import _scout
 from posterior.cli.words import doubts
 from posterior.diagnostics.plots import overview
@@ -400,6 +401,18 @@ def test_weights_that_begin_so_but_are_not_what_the_sampler_needs(tmp_path):
     wanted = "begins nuclei-poisson-score.safetensors; .* end in -gaussian-score.safetensors"
     with pytest.raises(ValueError, match=wanted):
         options.resolved()
+
+
+def test_study_data_may_lie_where_posterior_data_says(tmp_path, monkeypatch):
+    (tmp_path / "home" / "fmd").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("POSTERIOR_DATA", raising=False)
+    assert study_data(Path("fmd")) == Path("fmd")
+    monkeypatch.setenv("POSTERIOR_DATA", str(tmp_path / "home"))
+    assert study_data(Path("fmd")) == tmp_path / "home" / "fmd"
+    assert study_data(None) is None
+    (tmp_path / "fmd").mkdir()
+    assert study_data(Path("fmd")) == Path("fmd")
 
 
 @pytest.mark.slow
