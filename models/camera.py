@@ -132,6 +132,7 @@ class _CountingCamera(Camera):
     """Electrons in a full well, read by an ADC or not."""
 
     full_well: eqx.AbstractVar[int]
+    holds: eqx.AbstractVar[int]
     bits: eqx.AbstractVar[int | None]
 
     @property
@@ -149,7 +150,17 @@ class _CountingCamera(Camera):
 
     @property
     def adc_variance(self) -> float:
-        return 0.0 if self.bits is None else 1 / (12 * self._top**2)
+        return 0.0 if self.bits is None else 1 / (12 * self._codes_of_one**2)
+
+    @property
+    def highest(self) -> float:
+        """The largest recording, but for read noise: 1, or more where the well holds more."""
+        return self.holds / self.full_well
+
+    @property
+    def _codes_of_one(self) -> float:
+        """Steps of the ADC up to a signal of 1."""
+        return self._top / self.highest
 
     def from_codes(self, codes: np.ndarray) -> jax.Array:
         """Normalised recording from ADC codes: integers 0 .. 2^bits - 1 of any integer dtype.
@@ -171,25 +182,25 @@ class _CountingCamera(Camera):
                 f"code {worst} is outside 0..{self._top} of a {self.bits}-bit ADC: set bits to the "
                 "ADC's, or shift codes right that are stored in the high bits"
             )
-        return jnp.asarray(codes / self._top, jnp.result_type(float))
+        return jnp.asarray(codes / self._codes_of_one, jnp.result_type(float))
 
     @eqx.filter_jit
     def _electrons(self, key: jax.Array, expected: jax.Array) -> jax.Array:
-        """min(N, full_well), N ~ Poisson; int32.
+        """min(N, holds), N ~ Poisson; int32.
 
         Drawn in parts (sums of Poisson counts are Poisson): the acceptance test of
         jax.random.poisson cancels in float32, leaving the variance 2 % off at 1e6 electrons.
         Brighter than `bright` the pixel saturates anyway, but for a chance below 1e-80.
         """
-        bright = self.full_well + 20 * math.sqrt(self.full_well) + 200
-        parts = math.ceil(self.full_well / _LARGEST_DRAW)
+        bright = self.holds + 20 * math.sqrt(self.holds) + 200
+        parts = math.ceil(self.holds / _LARGEST_DRAW)
         lam = jnp.clip(self.full_well * expected, 0, bright) / parts
 
         def add(i: jax.Array, total: jax.Array) -> jax.Array:
             return total + jax.random.poisson(jax.random.fold_in(key, i), lam, dtype=jnp.int32)
 
         total = jax.lax.fori_loop(0, parts, add, jnp.zeros(lam.shape, jnp.int32))
-        return jnp.minimum(total, self.full_well)
+        return jnp.minimum(total, self.holds)
 
     def _check_range(self, y: np.ndarray, lowest: float, highest: float) -> None:
         if is_complex(y.dtype):
@@ -213,16 +224,18 @@ class _CountingCamera(Camera):
             )
         if y.max() > highest:
             raise ValueError(
-                f"y = {y.max():.6g} is above the full well (1 = {self.full_well} electrons): "
+                f"y = {y.max():.6g} is above the full well "
+                f"({self.highest:.6g} = {self.holds} electrons): "
                 "divide the electrons by the full well, or raise full_well"
             )
 
     def _check_grid(self, y: np.ndarray) -> None:
-        codes = y.astype(np.float64) * self._top
+        codes = y.astype(np.float64) * self._codes_of_one
         off = np.abs(codes - np.round(codes)) > 4 * _EPS32 * self._top
         if off.any():
             raise ValueError(
-                f"y = {y[off].flat[0]:.6g} is not on the grid k/{self._top} of a {self.bits}-bit "
+                f"y = {y[off].flat[0]:.6g} is not on the grid k/{self._codes_of_one:.6g} of a "
+                f"{self.bits}-bit "
                 "ADC: set bits to the ADC's, or to None for data that were not quantised"
             )
 
@@ -234,15 +247,24 @@ class Poisson(_CountingCamera):
     with bits the code floor(N M / full_well + 1/2), M = 2^bits - 1, as code / M.
 
     `full_well`: electrons, a whole number 1 .. 2^23 - 1 (counts are whole, and exact in float32);
-    `bits`: None, or 1 .. 16. Raises ValueError otherwise.
+    `bits`: None, or 1 .. 16. `holds`: electrons of the well where it holds more than those of a
+    signal of 1, which `full_well` then is: it clips at `holds`, the last code is there, and
+    recordings reach holds / full_well. Raises ValueError otherwise.
     """
 
     full_well: int = eqx.field(static=True)
     bits: int | None = eqx.field(static=True)
+    holds: int = eqx.field(static=True)
 
-    def __init__(self, full_well: float, bits: int | None = None):
+    def __init__(self, full_well: float, bits: int | None = None, holds: float | None = None):
         self.full_well = _whole_well(full_well)
         self.bits = _adc_bits(bits)
+        self.holds = self.full_well if holds is None else _whole_well(holds, "holds")
+        if self.holds < self.full_well:
+            raise ValueError(
+                f"holds = {holds} electrons, and a signal of 1 has {self.full_well}: give at least "
+                "as many, or a smaller full_well"
+            )
 
     @property
     def read_variance(self) -> float:
@@ -252,23 +274,23 @@ class Poisson(_CountingCamera):
     def saturation(self) -> float:
         """Half an electron below the first count of the last code (or below the full well)."""
         if self.bits is None:
-            return 1 - 0.5 / self.full_well
-        return (float(_first_counts(self.full_well, self.bits)[-2]) - 0.5) / self.full_well
+            return (self.holds - 0.5) / self.full_well
+        return (float(_first_counts(self.holds, self.bits)[-2]) - 0.5) / self.full_well
 
     def sample(self, key: jax.Array, expected: jax.Array) -> jax.Array:
-        """One recording, 0 to 1."""
+        """One recording, 0 to `highest`."""
         expected = _intensity(expected)
         electrons = self._electrons(key, expected)
         if self.bits is None:
             return electrons.astype(expected.dtype) / self.full_well
-        starts = jnp.asarray(_first_counts(self.full_well, self.bits)[1:-1], jnp.int32)
+        starts = jnp.asarray(_first_counts(self.holds, self.bits)[1:-1], jnp.int32)
         code = jnp.searchsorted(starts, electrons, side="right")
-        return code.astype(expected.dtype) / self._top
+        return code.astype(expected.dtype) / self._codes_of_one
 
     def log_prob(self, y: jax.Array, expected: jax.Array) -> jax.Array:
         """Log-probability of the recorded count, or of all counts that give the recorded code.
 
-        y = 1 stands for every count from the full well (or from the last code's first count) up.
+        y = `highest` stands for every count from there (or from the last code's first one) up.
         A code that no count gives (full_well < 2^bits - 1) has value -inf. Errors: see
         `counts.poisson_log_interval`; counts up to 64 a code are summed exactly.
         """
@@ -277,11 +299,11 @@ class Poisson(_CountingCamera):
         lam = self.full_well * expected
         if self.bits is None:
             count = jnp.round(y * self.full_well)
-            start, saturated = self.full_well, count >= self.full_well
+            start, saturated = self.holds, count >= self.holds
             value = poisson_log_pmf(count, lam)
         else:
-            firsts = _first_counts(self.full_well, self.bits)
-            code = jnp.clip(jnp.round(y * self._top), 0, self._top).astype(jnp.int32)
+            firsts = _first_counts(self.holds, self.bits)
+            code = self._code(y)
             start, saturated = int(firsts[-2]), code == self._top
             table = jnp.asarray(firsts, expected.dtype)
             lo, hi = table[code], table[code + 1] - 1
@@ -297,15 +319,18 @@ class Poisson(_CountingCamera):
         y = jnp.asarray(y)
         if self.bits is None:
             low = jnp.round(y * self.full_well)
-            return low, jnp.where(low >= self.full_well, jnp.inf, low)
-        table = jnp.asarray(_first_counts(self.full_well, self.bits), y.dtype)
-        code = jnp.clip(jnp.round(y * self._top), 0, self._top).astype(jnp.int32)
+            return low, jnp.where(low >= self.holds, jnp.inf, low)
+        table, code = jnp.asarray(_first_counts(self.holds, self.bits), y.dtype), self._code(y)
         return table[code], jnp.where(code == self._top, jnp.inf, table[code + 1] - 1)
 
+    def _code(self, y: jax.Array) -> jax.Array:
+        code = jnp.round(y * self._codes_of_one)
+        return jnp.clip(code, 0, self._top).astype(jnp.int32)
+
     def check(self, y: np.ndarray) -> None:
-        """Refuse nan, inf, integers, complex, out of 0..1, and what no electron count gives."""
+        """Refuse nan, inf, integers, complex, out of range, and what no electron count gives."""
         y = np.asarray(y)
-        self._check_range(y, 0, 1 + 4 * _EPS32)
+        self._check_range(y, 0, self.highest * (1 + 4 * _EPS32))
         if self.bits is None:
             self._check_whole(y)
         else:
@@ -322,13 +347,13 @@ class Poisson(_CountingCamera):
             )
 
     def _check_reachable(self, y: np.ndarray) -> None:
-        codes = np.round(y.astype(np.float64) * self._top).astype(int)
-        firsts = _first_counts(self.full_well, self.bits)
+        codes = np.round(y.astype(np.float64) * self._codes_of_one).astype(int)
+        firsts = _first_counts(self.holds, self.bits)
         lost = firsts[codes] >= firsts[codes + 1]
         if lost.any():
             raise ValueError(
                 f"y = {y[lost].flat[0]:.6g} is code {codes[lost].flat[0]}, which no whole number "
-                f"of 0..{self.full_well} electrons gives: raise full_well, lower bits, or use "
+                f"of 0..{self.holds} electrons gives: raise full_well, lower bits, or use "
                 "PoissonGaussian for read noise"
             )
 
@@ -354,6 +379,10 @@ class PoissonGaussian(_CountingCamera):
             "read_noise", read_noise, "a standard deviation in electrons (no read noise: Poisson)"
         )
         self.bits = _adc_bits(bits)
+
+    @property
+    def holds(self) -> int:
+        return self.full_well
 
     @property
     def read_variance(self) -> float:
@@ -470,11 +499,11 @@ def _positive(name: str, value: float, meaning: str) -> float:
     return number
 
 
-def _whole_well(full_well: float) -> int:
-    number = _positive("full_well", full_well, "give the full well in electrons")
+def _whole_well(full_well: float, name: str = "full_well") -> int:
+    number = _positive(name, full_well, "give the full well in electrons")
     if number != round(number) or number > _LARGEST_WELL:
         raise ValueError(
-            f"full_well = {full_well} must be a whole number of electrons, at most "
+            f"{name} = {full_well} must be a whole number of electrons, at most "
             f"{_LARGEST_WELL}: round it"
         )
     return int(number)

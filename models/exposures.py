@@ -130,7 +130,7 @@ def _longer(camera: Camera, count: int) -> Camera:
     if isinstance(camera, Gaussian):
         return Gaussian(camera.sigma / math.sqrt(count))
     if isinstance(camera, Poisson):
-        return Poisson(camera.full_well * count, camera.bits)
+        return Poisson(camera.full_well * count, camera.bits, camera.holds * count)
     if isinstance(camera, PoissonGaussian):
         read_noise = camera.read_noise * math.sqrt(count)
         return PoissonGaussian(camera.full_well * count, read_noise, camera.bits)

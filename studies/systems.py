@@ -92,7 +92,7 @@ def _anscombe(recording: Recording, shares: tuple[float, ...]) -> np.ndarray:
             "BM3D is not installed: pip install 'posterior-imaging[baselines]'"
         ) from error
     # Codes hide counts where the ADC is coarse; the nearest count is what is known.
-    camera = Poisson(recording.camera.full_well)
+    camera = Poisson(recording.camera.full_well, holds=recording.camera.holds)
     counts = np.round(np.asarray(recording.y, float) * camera.full_well)
     denoiser = bm3d if recording.y.ndim == 2 else bm3d_rgb
     return anscombe_denoised(counts / camera.full_well, camera, denoiser, shares)[None]

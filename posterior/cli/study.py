@@ -14,7 +14,6 @@ import typer
 
 from ..diagnostics.features import HAAR, Features, bottleneck_features
 from ..files import replace_whole
-from ..models.camera import Poisson
 from ..models.priors import ScorePrior
 from ..models.priors.perturbation import PERTURBATIONS
 from ..models.priors.storage import card_of
@@ -33,7 +32,7 @@ from ..studies import (
     picture,
     read_captures,
 )
-from ..studies.denoising import electrons
+from ..studies.denoising import camera_of
 from ..studies.report import protocol
 from . import study_approximations, study_phase, study_ptychography
 from .options import Quiet, asked_of, study_data
@@ -87,6 +86,9 @@ def denoising(
     size: Size = 64,
     draws: Draws = 16,
     bits: Annotated[int, typer.Option(help="Of the ADC; 0: whole counts.")] = 8,
+    headroom: Annotated[
+        float, typer.Option(help="Of the well above white, in standard deviations of white.")
+    ] = 0.0,
     seed: Seed = 0,
     features: Annotated[
         str, typer.Option(help="Of the Frechet distance: haar, or network, of the prior's own.")
@@ -98,18 +100,22 @@ def denoising(
     if part not in ("test", "validation"):
         raise ValueError(f"--part {part}: give test or validation")
     for value in sigma:
-        Poisson(electrons(value), bits or None)
+        camera_of(value, bits or None, headroom)
     truths = held_out(card_of(prior), study_data(data), part, pictures, size)
     seen = _features(features, prior, truths.shape[1:])
     identity = {
         "study": "denoising", "weights": _weights(prior), "part": part, "size": size,
         "draws": draws, "bits": bits, "seed": seed, "first": _hash(truths[0]),
     }  # fmt: skip
-    work = Denoising(truths, prior, bits or None, draws, seed)
+    if headroom:
+        # Unsaid, folders of before there was one go on.
+        identity["headroom"] = headroom
+    work = Denoising(truths, prior, bits or None, draws, seed, headroom)
     about = (
         f"Here: {pictures} {part} pictures of the prior {prior}, {size}x{size}, true counts "
-        f"{f'behind {bits} bits' if bits else 'as they are'}, {draws} draws of each system that "
-        f"samples, seed {seed}."
+        f"{f'behind {bits} bits' if bits else 'as they are'}, in a well that holds "
+        f"{f'{headroom:g} standard deviations of white more than' if headroom else 'no more than'} "
+        f"white, {draws} draws of each system that samples, seed {seed}."
     )
 
     def write(found: Found) -> None:

@@ -14,7 +14,7 @@ from posterior.models.camera import Gaussian, Poisson, PoissonGaussian
 from posterior.models.counts import poisson_log_interval
 
 POISSON = [Poisson(10, 1), Poisson(100), Poisson(255, 4), Poisson(100, 8), Poisson(5000, 8)]
-POISSON += [Poisson(1e6, 12)]
+POISSON += [Poisson(1e6, 12), Poisson(25, None, 40), Poisson(100, 6, 131)]
 NOISY = [PoissonGaussian(100, 0.4, 4), PoissonGaussian(5000, 8, 8)]
 ONE_OF_EACH = [Poisson(100, 8), Poisson(1e6, 12), PoissonGaussian(100, 0.4, 4)]
 EVERYWHERE = [(c, "float32") for c in POISSON + NOISY] + [(c, "float64") for c in ONE_OF_EACH]
@@ -33,8 +33,8 @@ everywhere = pytest.mark.parametrize(("camera", "dtype"), EVERYWHERE, ids=repr, 
 
 def recordings(camera):
     """Every value the camera can record, in float64."""
-    top = camera.full_well if camera.bits is None else 2**camera.bits - 1
-    return np.arange(top + 1) / top
+    top = camera.holds if camera.bits is None else 2**camera.bits - 1
+    return np.arange(top + 1) * (camera.holds / camera.full_well / top)
 
 
 @eqx.filter_jit
@@ -69,7 +69,7 @@ def test_probabilities_of_all_recordings_add_up_to_one(camera, dtype):
 @everywhere
 def test_finite_everywhere(camera, dtype):
     value, score = table(camera, dtype)
-    possible = camera.full_well >= value.shape[0] - 1 or isinstance(camera, PoissonGaussian)
+    possible = camera.holds >= value.shape[0] - 1 or isinstance(camera, PoissonGaussian)
     assert np.all(np.isfinite(value)) or not possible
     assert np.all(np.isfinite(score))
     assert np.all(score[1:, LIGHTS < 0] >= 0)  # any electron points from darkness to light
@@ -100,7 +100,8 @@ def chi_square(camera, model, column, dtype, draws=20_000):
     light = jnp.full(draws, LIGHTS[column], dtype)
     y = np.asarray(draw(camera, jax.random.key(column), light), float)
     values = recordings(camera)
-    observed = np.bincount(np.round(y * (values.size - 1)).astype(int), minlength=values.size)
+    place = np.round(y / values[-1] * (values.size - 1)).astype(int)
+    observed = np.bincount(place, minlength=values.size)
     probability = np.exp(table(model, dtype)[0][:, column])
     cell = np.minimum(np.cumsum(probability) * draws / 10, draws).astype(int)
     expected = np.bincount(cell, probability) * draws
@@ -123,6 +124,19 @@ def test_histogram_finds_a_wrong_full_well():
     """A full well 10 % off: the mean signal is the same, only the noise differs."""
     column = int(np.flatnonzero(LIGHTS == 0.6)[0])
     assert chi_square(Poisson(100, 8), Poisson(110, 8), column, "float32") < 1e-6
+
+
+def test_a_well_that_holds_more_clips_there_and_not_at_one():
+    """Of a signal of 1, 25 electrons: 40 or more with the probability that SciPy gives."""
+    y = np.asarray(draw(Poisson(25, None, 40), jax.random.key(5), jnp.ones(20_000, "float32")))
+    np.testing.assert_allclose(y.max(), 1.6, rtol=1e-6)
+    assert abs(y.mean() - 1) < 4 * 0.2 / np.sqrt(y.size)
+    tail = stats.poisson.sf(39, 25)
+    assert abs(np.mean(y == y.max()) - tail) < 4 * np.sqrt(tail / y.size)
+    value = Poisson(25, None, 40).log_prob(np.float32(1.6), jnp.float32(1.0))
+    np.testing.assert_allclose(np.exp(value), tail, rtol=1e-5)
+    saturated = Poisson(25).log_prob(np.float32(1.0), jnp.float32(1.0))
+    np.testing.assert_allclose(np.exp(saturated), stats.poisson.sf(24, 25), rtol=1e-5)
 
 
 def test_histogram_of_unquantised_read_noise():
@@ -261,25 +275,27 @@ def test_noise_levels():
     assert Poisson(100, 8).sigma0 == 0.1
     assert Poisson(100).read_variance == 0
     assert Poisson(100, 1).read_variance == 1 / 12
+    assert Poisson(100, 1, 200).read_variance == 4 / 12
+    assert Poisson(100, 8, 200).sigma0 == 0.1
     assert PoissonGaussian(400, 2).read_variance == 0.005**2
     assert Gaussian(0.5).read_variance == 0.25
     assert Gaussian(0.5).sigma0 == 0
     assert [c.counting for c in (Gaussian(1), Poisson(1), PoissonGaussian(1, 1))] == [0, 1, 1]
 
 
-@pytest.mark.parametrize("camera", [*ONE_OF_EACH, Poisson(100), PoissonGaussian(100, 3)], ids=repr)
+@pytest.mark.parametrize("camera", [*POISSON, *NOISY, PoissonGaussian(100, 3)], ids=repr)
 def test_check_accepts_what_the_camera_records(camera):
     y = draw(camera, jax.random.key(6), jnp.linspace(0, 1.2, 20_000, dtype="float32"))
     camera.check(y)
     camera.check(np.asarray(y, float))
 
 
-def test_codes_come_back():
-    camera = Poisson(5000, 12)
+@pytest.mark.parametrize("camera", [Poisson(5000, 12), Poisson(5000, 12, 7001)], ids=repr)
+def test_codes_come_back(camera):
     codes = np.arange(4096, dtype=np.uint16)
     y = camera.from_codes(codes)
     camera.check(y)
-    np.testing.assert_array_equal(np.round(np.asarray(y, float) * 4095), codes)
+    np.testing.assert_array_equal(np.round(np.asarray(y, float) / camera.highest * 4095), codes)
 
 
 @pytest.mark.parametrize(
@@ -288,6 +304,7 @@ def test_codes_come_back():
         (Poisson(100), [np.nan], "not finite.*mask or repair"),
         (Poisson(100), [-0.01], r"negative \(-1 electrons\).*dark level"),
         (Poisson(100), [1.7], r"y = 1.7 is above the full well \(1 = 100 electrons\).*divide"),
+        (Poisson(100, 8, 160), [1.7], r"above the full well \(1.6 = 160 electrons\)"),
         (Poisson(100, 8), np.array([3]), "integer data.*ADC codes.*camera.from_codes"),
         (Poisson(100), np.array([1j]), "complex data.*intensities"),
         (Poisson(100, 8), [0.5], "not on the grid k/255.*8-bit.*set bits"),
@@ -311,6 +328,8 @@ def test_check_names_value_and_remedy(camera, y, sentence):
         (lambda: Poisson(0), "full_well = 0 must be a positive number"),
         (lambda: Poisson(100.5), "full_well = 100.5 must be a whole number"),
         (lambda: Poisson(1e7), "full_well = 10000000.0 must be a whole number.*at most 8388607"),
+        (lambda: Poisson(100, holds=120.5), "holds = 120.5 must be a whole number"),
+        (lambda: Poisson(100, holds=99), "holds = 99 electrons, and a signal of 1 has 100"),
         (lambda: Poisson("many"), "full_well = many must be a positive number"),
         (lambda: Poisson(100, 17), "bits = 17 must be an integer 1..16"),
         (lambda: Poisson(100, 8.5), "bits = 8.5 must be"),

@@ -76,10 +76,11 @@ def test_a_posterior_of_other_counts_fails(x64):
     "camera, y",
     [
         (models.Poisson(50), 1.0),
+        pytest.param(models.Poisson(50, holds=60), 1.2, marks=pytest.mark.slow),
         pytest.param(models.Poisson(100, bits=4), 0.2, marks=pytest.mark.slow),
         (models.Poisson(100, bits=4), 1.0),
     ],
-    ids=["saturated", "four bits", "four bits, saturated"],
+    ids=["saturated", "saturated above 1", "four bits", "four bits, saturated"],
 )
 def test_counts_that_the_recording_does_not_tell(x64, camera, y):
     check_hidden(camera, y)

@@ -245,6 +245,7 @@ def test_the_command_writes_the_table_and_the_picture(folder, tmp_path, capsys):
         (("--prior", "nowhere"), "nowhere"),
         (("--pictures", "4"), "no file"),
         (("--bits", "17"), "17"),
+        (("--headroom", "-1"), "headroom -1"),
         (("--features", "inception"), "--features inception"),
     ],
 )
@@ -255,6 +256,19 @@ def test_the_command_refuses_in_a_sentence(folder, tmp_path, capsys, options, wo
 
 def test_noise_levels_are_of_whole_electrons():
     assert [electrons(c) for c in ("0.025", "0.05", "0.1", "0.2")] == [1600, 400, 100, 25]
+
+
+def test_a_well_with_headroom_does_not_clip_white():
+    """White is 1 on average then; a well that white fills loses 0.4 of its noise's sd."""
+    white = np.ones((1, 64, 64), np.float32)
+    means = {
+        headroom: float(
+            Denoising(white, "nuclei", None, 2, 0, headroom).recording("0.2", 0).y.mean()
+        )
+        for headroom in (0.0, 3.0)
+    }
+    assert abs(means[3.0] - 1) < 4 * 0.2 / 64
+    assert means[0.0] < 1 - 0.3 * 0.2
 
 
 def test_the_table_tells_pictures_from_smooth_answers_and_says_by_what():
