@@ -15,13 +15,7 @@ import optax
 from .denoiser import Denoiser
 from .layers import in_precision
 from .learned import energy
-from .perturbation import (
-    count_loss,
-    denoising_loss,
-    folded_score,
-    perturbed,
-    signal_score_loss,
-)
+from .perturbation import count_loss, denoising_loss, perturbed, signal_score_loss
 from .pictures import SYMMETRIES, Pictures
 
 KINDS = ("score", "energy")
@@ -149,14 +143,7 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     if stats.perturbation == "poisson":
         return weight * count_loss(denoiser(x, sigma), clean, x, sigma, stats.mean)
     if recipe.kind == "score":
-        denoised = denoiser(x, sigma)
-        loss = denoising_loss(denoised, clean, stats.perturbation)
-        if stats.perturbation == "signal":
-            # One network has the least of both. Alone, the first leaves bright values of the score
-            # to chance, the second dark values of the estimate.
-            score = folded_score(x, denoised, sigma)
-            loss += sigma**2 * signal_score_loss(score, clean, x, sigma, stats.lowest)
-        return weight * loss
+        return weight * denoising_loss(denoiser(x, sigma), clean, stats.perturbation)
     score = -jax.grad(energy, argnums=1)(denoiser, x, sigma)
     if stats.perturbation == "signal":
         # denoising_loss is about sigma^2 times this one.
