@@ -10,6 +10,7 @@ import typer
 
 from ..presets import (
     APPLICATIONS,
+    DENOISING,
     LEDS,
     PHASE_RETRIEVAL,
     PTYCHOGRAPHY,
@@ -29,6 +30,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 
 _RANGES = {
     "full_well": (1, 2**23 - 1),
+    "white": (1, 2**23 - 1),
     "bits": (0, 16),
     "draws": (1, None),
     "chains": (1, None),
@@ -58,6 +60,7 @@ class Options:
     electrons: float | None = None
     background: bool = False
     full_well: int | None = None
+    white: int | None = None
     bits: int | None = None
     sampler: str | None = None
     draws: int | None = None
@@ -104,6 +107,7 @@ class Options:
         if is_trained(prior):
             weights_card(prior, sampling.needs)
         full_well, bits = self._camera(application)
+        self._check_white(full_well)
         return dataclasses.replace(
             self,
             image=_absolute(self.image),
@@ -129,10 +133,24 @@ class Options:
             bits if self.bits is None else self.bits,
         )
 
+    def _check_white(self, full_well: int | None) -> None:
+        if self.white is None:
+            return
+        if self.problem != DENOISING:
+            raise ValueError(
+                f"--white {self.white}: only {DENOISING} takes it, leave it out (the brightness of "
+                "a field is its --irradiance)"
+            )
+        if self.white > full_well:
+            raise ValueError(
+                f"--white {self.white} electrons are more than the full well of {full_well} holds: "
+                "give as many or fewer"
+            )
+
     def _refuse_beside_a_stack(self) -> None:
         if self.problem != PTYCHOGRAPHY:
             raise ValueError(f"--stack is for {PTYCHOGRAPHY}: give --data to {self.problem}")
-        of_pictures = ("full_well", "bits", "size", "irradiance", "page", "oversampling")
+        of_pictures = ("full_well", "white", "bits", "size", "irradiance", "page", "oversampling")
         for name in (*of_pictures, "leds", "colour"):
             if getattr(self, name) is not None:
                 option = f"--{name.replace('_', '-')} {getattr(self, name)}"

@@ -122,7 +122,8 @@ def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
             needs=needs,
             progress=not quiet,
         )
-    camera = Poisson(options.full_well, options.bits or None)
+    white = options.full_well if options.white is None else options.white
+    camera = Poisson(white, options.bits or None, options.full_well)
     picture = read_picture(options.image or options.data, options.page)
     given = {
         name: getattr(options, name)
@@ -134,7 +135,7 @@ def _question(options: Options, key: jax.Array, quiet: bool) -> Question:
 
 
 def _picture(options: Options, question: Question) -> np.ndarray | None:
-    """The recording, where it is of the object itself."""
+    """The recording, where it is of the object itself, in units of white."""
     return question.y if options.problem == presets.DENOISING else None
 
 

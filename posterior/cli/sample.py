@@ -25,6 +25,10 @@ def command(
         bool, typer.Option("--background", help="The images of a stack may hold even light.")
     ] = False,
     full_well: Annotated[int | None, typer.Option(help="Electrons at saturation.")] = None,
+    white: Annotated[
+        int | None,
+        typer.Option(help="Electrons of the prior's 1, where the full well holds more."),
+    ] = None,
     bits: Annotated[int | None, typer.Option(help="Of the ADC; 0: none.")] = None,
     sampler: Annotated[str | None, typer.Option(help=f"One of {', '.join(SAMPLERS)}.")] = None,
     draws: Annotated[int | None, typer.Option(help="Draws a chain.")] = None,

@@ -141,9 +141,9 @@ def out_of_range(card: dict[str, Any] | None, picture: np.ndarray | None) -> lis
     if bright >= _FAINT:
         return []
     return [
-        f"the recording reaches {bright:.2g} of the full well, the prior's pictures 1 (their "
-        f"{percentile:g}th percentile): scale the picture, or give counts (no --bits) with a "
-        "--full-well that its brightest pixels just reach"
+        f"the recording reaches {bright:.2g} of white, the prior's pictures 1 (their "
+        f"{percentile:g}th percentile): say with --white how many electrons its brightest pixels "
+        f"have, about {bright:.2g} of what white has now (unsaid, the full well)"
     ]
 
 

@@ -74,7 +74,7 @@ def record(
     colour: str | None = None,
     needs: str = "annealed score",
 ) -> Question:
-    """Take a recording: integer codes of the ADC, or floats in electrons / full well.
+    """Take a recording: integer codes of the ADC, or floats in electrons / what the well holds.
 
     Denoising: (h, w), or (h, w, 3) in colour, under a grey prior by `colour="planes"`. Phase
     retrieval: (r h, r w), r the oversampling, zero frequency at index 0. Ptychography: (49, n, n),

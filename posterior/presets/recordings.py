@@ -10,11 +10,11 @@ from .optics import LEDS, upsampling_of
 
 
 def normalised(data: np.ndarray, camera: Poisson) -> np.ndarray:
-    """Electrons / full well: floats are taken for it, integers for codes of the ADC."""
+    """In units of the camera: floats are electrons / full well, integers codes of the ADC."""
     if data.dtype == bool:
         data = data.astype(np.uint8)
     if not np.issubdtype(data.dtype, np.integer):
-        return data
+        return data * camera.highest
     if camera.bits is None:
         raise ValueError(f"the recording holds {data.dtype} codes: say how many bits with --bits")
     return np.asarray(camera.from_codes(data))

@@ -304,6 +304,22 @@ def test_ptychography_of_a_complex_specimen(folder, tmp_path, few_levels):
 # ---- the three problems --------------------------------------------------------------------------
 
 
+def test_white_below_the_full_well(folder, tmp_path, capsys):
+    """500 electrons in the well, 100 of white: more than white is recorded, in units of white."""
+    out = tmp_path / "run"
+    arguments = ("--image", folder / "white.npy", "--full-well", 500, "--white", 100)
+    np.save(folder / "white.npy", np.ones((16, 16)) - 1e-3 * np.eye(16))
+    _run(folder, out, *arguments, image=None)
+    recorded = ps.load(out / "draws.nc").data
+    assert recorded.max() > 1.1
+    assert abs(recorded.mean() - 1) < 4 * 0.1 / 16
+    assert "reaches" not in capsys.readouterr().err
+    np.save(folder / "shares.npy", recorded / 5)
+    again = ("--data", folder / "shares.npy", "--full-well", 500, "--white", 100)
+    _run(folder, tmp_path / "again", *again, image=None)
+    np.testing.assert_allclose(ps.load(tmp_path / "again" / "draws.nc").data, recorded, rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["phase-retrieval", "ptychography"])
 def test_the_brightest_pixel_just_meets_the_full_well(name):
     camera = models.Poisson(10_000)
@@ -482,7 +498,7 @@ def test_a_prior_without_a_calibration_is_told_as_such():
 
 def test_a_faint_picture_is_told_before_the_work(folder, tmp_path, capsys, monkeypatch):
     def no_work(*_):
-        assert "of the full well, the prior's pictures 1" in capsys.readouterr().err
+        assert "of white, the prior's pictures 1" in capsys.readouterr().err
         raise ValueError("that is all")
 
     monkeypatch.setattr("posterior.cli.run._draw", no_work)
@@ -497,7 +513,7 @@ def test_a_picture_fainter_than_the_priors_is_told():
     rng = np.random.default_rng(0)
     bright, faint = rng.random((2, 64, 64)) * np.array([1.0, 0.2]).reshape(2, 1, 1)
     assert len(doubts({"rhat": 1.0}, "mala", card, bright)) == 1
-    assert "reaches 0.2 of the full well" in doubts({"rhat": 1.0}, "mala", card, faint)[1]
+    assert "reaches 0.2 of white" in doubts({"rhat": 1.0}, "mala", card, faint)[1]
 
 
 # ---- refusals ------------------------------------------------------------------------------------
@@ -532,6 +548,8 @@ def _refused(capsys, *arguments, problem="denoising"):
             "--full-well 0: give a whole number, 1 to 8388607",
         ),
         (["--image", "{}/picture.png", "--full-well", "99999999"], "1 to 8388607"),
+        (["--image", "{}/picture.png", "--white", "101"], "101 electrons are more than the full"),
+        (["--image", "{}/picture.png", "--white", "0"], "--white 0: give a whole number, 1 to"),
         (["--image", "{}/picture.png", "--bits", "17"], "--bits 17: give a whole number, 0 to 16"),
         (["--image", "{}/picture.png", "--page", "4"], "page 4 .* it has one page"),
         (["--image", "{}/pages.tif"], "holds 2 pages: choose one with --page"),

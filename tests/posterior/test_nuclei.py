@@ -2,7 +2,8 @@
 
 A study: it needs the pictures (POSTERIOR_DATA), BM3D, and an hour. NUCLEI_PATCHES and NUCLEI_DRAWS
 make it smaller; NUCLEI_PART=validation looks at the pictures that settings were chosen on, and not
-at those of the test; NUCLEI_SAMPLERS, names of `SAMPLERS` with commas between, makes the table;
+at those of the test, NUCLEI_PART=prior at draws of each sampler's own prior, where what is wrong is
+the sampler's; NUCLEI_SAMPLERS, names of `SAMPLERS` with commas between, makes the table;
 NUCLEI_PRIOR=nuclei-large asks the larger networks.
 """
 
@@ -50,11 +51,23 @@ SAMPLERS = {
 SIDE, BATCH = 64, 16
 
 
-@pytest.fixture(scope="module")
-def patches():
+@pytest.fixture
+def patches(sampler):
     """(n, 64, 64), one of each picture: of eight random places the one with the most contrast."""
+    if PART == "prior":
+        return own_draws(sampler)
     folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
     return held_out(card_of(PRIOR), folder, PART, PATCHES, SIDE)
+
+
+def own_draws(sampler):
+    """(n, 64, 64) of the sampler's prior, by many more levels than a look at it needs."""
+    _, perturbation, kind = SAMPLERS[sampler]
+    assert perturbation != "signal", "its prior's own draws are far too dark"
+    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation)
+    fine = kind(prior.denoiser, prior.shape, sampling_steps=400)
+    draw = jax.jit(lambda key: fine.sample(key))
+    return np.stack([draw(key) for key in jax.random.split(jax.random.key(5), PATCHES)])
 
 
 def within_grey_levels(pictures):
