@@ -199,7 +199,7 @@ def _complex_overview(shown: _Shown) -> Figure:
     return figure
 
 
-def _phase_scale(phases: Sequence[np.ndarray]) -> ScalarMappable:
+def phase_scale(phases: Sequence[np.ndarray]) -> ScalarMappable:
     """Symmetric; short of the whole circle, the two ends of the colours must not look alike."""
     largest = np.quantile(np.abs(np.concatenate([np.ravel(p) for p in phases])), 0.995)
     limit = min(1.5 * largest, np.pi)
@@ -215,7 +215,7 @@ _PARTS = (
         lambda amplitudes: _scale(amplitudes, _GREY),
     ),
     _Part(
-        "phase", "phase / rad", np.angle, lambda a, b: np.abs(np.angle(a * b.conj())), _phase_scale
+        "phase", "phase / rad", np.angle, lambda a, b: np.abs(np.angle(a * b.conj())), phase_scale
     ),
 )
 

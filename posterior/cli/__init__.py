@@ -1,5 +1,5 @@
-"""The command line: `posterior sample`, `repeat`, `train`, `certify`, `study`, `gallery`,
-`demo`.
+"""The command line: `posterior sample`, `repeat`, `train`, `prior`, `certify`, `study`,
+`gallery`, `demo`.
 
 A command is a file of this folder with a function `command`, and one line below. The command line
 is the front door: it alone may look into every room.
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import typer
 
 from ..sampling import NonFiniteError
-from . import certify, demo, gallery, repeat, sample, study, train
+from . import certify, demo, gallery, prior, repeat, sample, study, train
 
 _REFUSED = (ValueError, NonFiniteError, OSError)
 
@@ -25,6 +25,7 @@ app = typer.Typer(
 app.command("sample")(sample.command)
 app.command("repeat")(repeat.command)
 app.command("train")(train.command)
+app.command("prior")(prior.command)
 app.command("certify")(certify.command)
 app.add_typer(study.app, name="study")
 app.command("gallery")(gallery.command)

@@ -216,7 +216,7 @@ def test_the_network_alone_beats_bm3d(kind):
 
 @pytest.mark.parametrize("sigma", [0.025, 0.05, 0.1, 0.2, 0.4, 0.8])
 def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
-    """The energy is trained by it, the score network as a denoiser: from 0.2 on that is worse."""
+    """The energy is trained by it, the score network as a denoiser, which does no worse."""
     folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
     card = card_of("nuclei", "score", "signal")
     clean = jnp.asarray(held_out(card, folder, "validation", 32, SIDE))
@@ -228,4 +228,4 @@ def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
         score = jax.jit(lambda z, prior=prior: jax.lax.map(lambda z: prior.score(z, sigma), z))(z)
         losses.append(float(signal_score_loss(score, clean, z, sigma, prior.statistics.lowest)))
     print(f"\nsigma {sigma}: score {losses[0]:.4f}, energy {losses[1]:.4f}")
-    assert losses[1] < 1.05 * losses[0] if sigma < 0.2 else losses[1] < losses[0]
+    assert losses[0] < 1.02 * losses[1]

@@ -1,0 +1,116 @@
+"""`posterior prior`: what trained weights know, by their card, and draws of them alone."""
+
+import textwrap
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import numpy as np
+import typer
+from rich.progress import track
+
+from ..diagnostics.prior_plot import plot_prior
+from ..files import replace_whole
+from ..models.priors import EnergyPrior, ScorePrior
+from ..models.priors.learned import LearnedPrior
+from ..models.priors.storage import card_of, shipped
+from .options import Overwrite, Quiet
+
+_FILES = ("draws.npy", "draws.png")
+_ERRORS = {
+    "gaussian": "additive Gaussian noise",
+    "signal": "the signal-dependent error x + sqrt(x) e",
+    "poisson": "photon counts",
+}
+
+
+def command(
+    name: Annotated[str, typer.Argument(help="Trained weights by name or path.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for draws.npy and draws.png; unsaid: none are made.")
+    ] = None,
+    size: Annotated[int, typer.Option(help="Side of a draw, in pixels.")] = 64,
+    draws: Annotated[int, typer.Option(help="How many.")] = 16,
+    steps: Annotated[int, typer.Option(help="Levels from noise to a picture, 2 or more.")] = 100,
+    seed: Annotated[int, typer.Option(help="Same seed, same draws.")] = 0,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell what a learnt prior was trained on and where it ends, and draw from it without data."""
+    for option, value, least in (("size", size, 4), ("draws", draws, 1), ("steps", steps, 2)):
+        if value < least:
+            raise ValueError(f"--{option} {value}: give {least} or more")
+    card = card_of(name, "score", _perturbation(name))
+    print("\n".join(_told(card)))
+    if out is None:
+        return
+    prior = _prior(name, card, size, steps)
+    _make_folder(out, overwrite)
+    keys = jax.random.split(jax.random.key(seed), draws)
+    draw = jax.jit(lambda key: prior.sample(key))
+    drawn = np.stack([draw(key) for key in track(keys, "draws", disable=quiet)])
+    replace_whole(out / "draws.npy", lambda part: _save(part, drawn))
+    figure = plot_prior(drawn)
+    replace_whole(out / "draws.png", lambda part: figure.savefig(part, dpi=150, format="png"))
+    print(f"draws in {out}")
+
+
+def _perturbation(name: str) -> str:
+    """Of a short name: counts, whose draws are best, if there are such weights."""
+    stem = f"{name}-poisson-score"
+    found = stem in shipped() or Path(f"{stem}.safetensors").is_file()
+    return "poisson" if found else "gaussian"
+
+
+def _told(card: dict[str, Any]) -> list[str]:
+    """The card in words, a paragraph a line."""
+    about, data, validation = card["statistics"], card.get("data", {}), card.get("validation", {})
+    channels = card["network"].get("channels", 1)
+    kind = "complex" if about.get("complex_valued") else "colour" if channels == 3 else "grey"
+    said = [
+        f"{card.get('name', 'weights')}: {card['kind']} network of {kind} pictures under "
+        f"{_ERRORS[about['perturbation']]}, {card.get('parameters', 0) / 1e6:.2f} million "
+        "parameters",
+        f"pictures: {data.get('source', 'not stated')} ({data.get('licence', 'not stated')}); "
+        + ", ".join(f"{count} for {part}" for part, count in data.get("pictures", {}).items()),
+        f"units: {card.get('normalisation', 'not stated')}",
+        f"levels: sigma {about['sigma_min']:.3g} to {about['sigma_max']:.3g}",
+    ]
+    for sigma, row in validation.get("denoising_psnr_db", {}).items():
+        others = "" if row.get("bm3d") is None else f", BM3D {row['bm3d']} dB"
+        said.append(f"held out, sigma {sigma}: {row['network']} dB{others}")
+    for well, found in validation.get("calibration", {}).items():
+        said.append(
+            f"held out, {well} electrons: spread over error {found['spread_over_error']}, "
+            f"{100 * found['inside']:.0f} % inside intervals of {100 * found['nominal']:.0f} %"
+        )
+    said += [f"limit: {limit}" for limit in card.get("limits", [])]
+    said.append(f"trained by: {card.get('training', {}).get('command', 'not stated')}")
+    return [textwrap.fill(line, 100, subsequent_indent="  ") for line in said]
+
+
+def _make_folder(out: Path, overwrite: bool) -> None:
+    found = [name for name in _FILES if (out / name).exists()]
+    if found and not overwrite:
+        raise ValueError(
+            f"{out} already holds {found[0]}: give another --out, or --overwrite to replace it"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _prior(name: str, card: dict[str, Any], size: int, steps: int) -> LearnedPrior:
+    perturbation = card["statistics"]["perturbation"]
+    if perturbation == "signal":
+        raise ValueError(
+            f"{card.get('name', name)} knows harmonic means, and its own draws come out far too "
+            "dark: ask weights of the gaussian error or of counts for draws"
+        )
+    kind = {"score": ScorePrior, "energy": EnergyPrior}[card["kind"]]
+    shape = (size, size, 3) if card["network"]["channels"] == 3 else (size, size)
+    loaded = kind.load(name, shape, perturbation)
+    return kind(loaded.denoiser, loaded.shape, sampling_steps=steps)
+
+
+def _save(path: str, array: np.ndarray) -> None:
+    with open(path, "wb") as file:
+        np.save(file, array)

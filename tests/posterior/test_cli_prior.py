@@ -1,0 +1,99 @@
+"""`posterior prior`: the card in words, and draws of the prior alone."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from posterior import cli, models
+from posterior.diagnostics.prior_plot import plot_prior
+from posterior.models.priors.storage import FOLDER
+
+FEW = ("--size", "16", "--draws", "3", "--steps", "3", "--quiet")
+
+
+def main(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["prior", *map(str, arguments)])
+    return caught.value.code or 0
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("nuclei", "nuclei-poisson-score: score network of grey pictures under photon counts"),
+        ("complex-cells", "score network of complex pictures under additive Gaussian noise"),
+        ("nuclei-gaussian-energy", "energy network of grey"),
+        (FOLDER / "nuclei-signal-score.safetensors", "signal-dependent error x + sqrt(x) e"),
+    ],
+)
+def test_the_card_is_told(name, words, capsys):
+    assert main(name) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert words in said
+    assert "held out, sigma 0.1: " in said and "BM3D" in said
+    assert "trained by: posterior train" in said and "limit: Trained on patches" in said
+
+
+@pytest.mark.parametrize(
+    "name, shape",
+    [("nuclei", (3, 16, 16)), ("complex-cells", (3, 16, 16)), ("faces", (3, 16, 16, 3))],
+)
+def test_draws_are_the_priors(name, shape, tmp_path):
+    assert main(name, "--out", tmp_path, *FEW) == 0
+    found = np.load(tmp_path / "draws.npy")
+    assert found.shape == shape and np.iscomplexobj(found) == (name == "complex-cells")
+    assert np.all(np.isfinite(found)) and len(np.unique(found.reshape(3, -1), axis=0)) == 3
+    with Image.open(tmp_path / "draws.png") as picture:
+        assert picture.size[0] > 200
+    assert main(name, "--out", tmp_path / "again", *FEW) == 0
+    np.testing.assert_array_equal(np.load(tmp_path / "again" / "draws.npy"), found)
+    assert main(name, "--out", tmp_path / "other", *FEW, "--seed", 1) == 0
+    assert not np.array_equal(np.load(tmp_path / "other" / "draws.npy"), found)
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_draws_have_the_pictures_brightness(tmp_path):
+    """Of 64 draws of nuclei by counts, 400 levels: the mean of the training pictures within four
+    standard errors.
+    """
+    many = ("--draws", "64", "--steps", "400", "--quiet")
+    assert main("nuclei", "--out", tmp_path, *many) == 0
+    found = np.load(tmp_path / "draws.npy")
+    prior = models.ScorePrior.load("nuclei", (64, 64), "poisson")
+    means = found.mean((1, 2))
+    error = means.std(ddof=1) / np.sqrt(len(means))
+    print(f"\nmean {means.mean():.3f} +- {error:.3f}, of the pictures {prior.statistics.mean}")
+    print(f"sd {found.std():.3f}, of the pictures {prior.statistics.sd}")
+    assert abs(means.mean() - prior.statistics.mean) < 4 * error
+
+
+@pytest.mark.parametrize(
+    "arguments, sentence",
+    [
+        (("nowhere",), "no score weights 'nowhere'"),
+        (("nuclei-signal-score", "--out", "{}/new"), "come out far too dark"),
+        (("nuclei", "--out", "{}/new", "--size", "17"), "multiples of"),
+        (("nuclei", "--out", "{}/new", "--draws", "0"), "--draws 0: give 1 or more"),
+        (("nuclei", "--out", "{}/new", "--steps", "1"), "--steps 1: give 2 or more"),
+        (("nuclei", "--out", "{}"), "already holds draws.npy"),
+    ],
+)
+def test_refusals_are_one_sentence(arguments, sentence, tmp_path, capsys):
+    (tmp_path / "draws.npy").write_bytes(b"mine")
+    assert main(*[a.format(tmp_path) for a in arguments]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+    assert (tmp_path / "draws.npy").read_bytes() == b"mine"
+
+
+def test_what_is_no_picture_is_not_drawn():
+    with pytest.raises(ValueError, match=r"draws of shape \(3, 4\): give"):
+        plot_prior(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match="shape"):
+        plot_prior(np.zeros((2, 4, 4, 2)))
+    grey = plot_prior(np.linspace(0, 2, 80).reshape(5, 4, 4))
+    assert len([axes for axes in grey.axes if axes.images]) == 5
+    assert grey.axes[0].images[0].norm.vmax > 1.9
+    assert len([a for a in plot_prior(1j * np.ones((5, 4, 4))).axes if a.images]) == 10
