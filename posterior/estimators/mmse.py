@@ -20,8 +20,9 @@ def mmse(posterior: Posterior) -> jax.Array:
 
     Exact for an analytic prior, and as good as its network for a learned one. Gaussian noise has
     the camera's sigma per real component, the level 2 sigma for a complex object (eq:part_complex).
-    Counts need a Poisson camera and a prior with the poisson perturbation; where the ADC or the
-    full well hides the count, the least possible one is taken, and the estimate is too dark.
+    Counts need a Poisson camera and a prior with the poisson perturbation. Of an ADC's code that
+    hides counts the middle one is taken; at the full well the least, where the estimate is too
+    dark.
     Raises ValueError for other optics, other cameras, or a prior with another perturbation.
     """
     likelihood, prior = posterior.likelihood, posterior.prior
@@ -42,7 +43,8 @@ def mmse(posterior: Posterior) -> jax.Array:
         )
     if needed == "poisson":
         sigma = likelihood.camera.sigma0
-        counts, _ = likelihood.camera.electrons_between(posterior.y.astype(prior.dtype))
+        least, most = likelihood.camera.electrons_between(posterior.y.astype(prior.dtype))
+        counts = jnp.where(jnp.isinf(most), least, (least + most) / 2)
         return prior.denoise(counts * sigma**2, sigma)
     sigma = likelihood.camera.sigma
     y = posterior.y.astype(prior.dtype)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import posterior as ps
 from posterior import diagnostics, estimators, models, samplers
@@ -47,8 +48,8 @@ def test_draws_average_to_it(x64, dtype):
         assert abs(values.mean() - part(estimators.mmse(post)[0])) < 4 * error
 
 
-def counted(prior, y=None):
-    likelihood = models.LinearLikelihood(models.Identity(prior.shape), models.Poisson(50))
+def counted(prior, y=None, camera=models.Poisson(50)):  # noqa: B008
+    likelihood = models.LinearLikelihood(models.Identity(prior.shape), camera)
     problem = ps.Problem(likelihood, prior)
     return problem.condition(problem.simulate(jax.random.key(0))[1] if y is None else y)
 
@@ -57,6 +58,24 @@ def test_counts_give_the_conjugate_mean(x64):
     post = counted(models.PixelPrior.gamma(3.0, 20.0, (16,), perturbation="poisson"))
     expected = (np.asarray(post.y) * 50 + 3) / (50 + 20)
     np.testing.assert_allclose(estimators.mmse(post), expected, rtol=1e-5)
+
+
+def test_of_a_code_that_hides_counts_it_is_the_mean_by_quadrature(x64):
+    """Sixteen counts a code, no wider than two sd of their noise where it is not dark: the least of
+    them is at least 0.3 sd too dark, the middle 0.03 off.
+    """
+    camera = models.Poisson(240, bits=4)
+    prior = models.PixelPrior.gamma(3.0, 8.0, (12,), perturbation="poisson")
+    codes = np.arange(3, 15) / 15
+    x = np.linspace(0.001, 2, 20_000)[:, None]
+    density = scipy.stats.gamma(3.0, scale=1 / 8).pdf(x)
+    weight = density * np.exp(np.asarray(camera.log_prob(codes, x)))
+    mean = np.sum(weight * x, axis=0) / np.sum(weight, axis=0)
+    sd = np.sqrt(np.sum(weight * (x - mean) ** 2, axis=0) / np.sum(weight, axis=0))
+    off = (np.asarray(estimators.mmse(counted(prior, codes, camera))) - mean) / sd
+    assert np.abs(off).max() < 0.04
+    least = np.asarray(camera.electrons_between(codes)[0])
+    assert np.all((least + 3) / 248 < mean - 0.3 * sd)
 
 
 @pytest.mark.slow
