@@ -1,10 +1,10 @@
 """Cameras: from the expected signal to the recorded value, and the exact probability of it.
 
-Everything is normalised: electrons / full well, so that 1 is saturation and the photon noise of a
-pixel of expected signal x has variance sigma0^2 x, sigma0 = 1/sqrt(full well) (eq:fwc). A camera
-does two things that must agree: `sample` simulates a recording, `log_prob` is the exact
-log-probability of what was recorded: true Poisson counts (eq:poisson), saturation, read noise,
-and the step of the ADC, never the Gaussian approximation.
+Everything is normalised: electrons / full well, so that 1 is saturation (unless the well of
+`Poisson` holds more) and the photon noise of a pixel of expected signal x has variance sigma0^2 x,
+sigma0 = 1/sqrt(full well) (eq:fwc). A camera does two things that must agree: `sample` simulates a
+recording, `log_prob` is the exact log-probability of what was recorded: true Poisson counts
+(eq:poisson), saturation, read noise, and the step of the ADC, never the Gaussian approximation.
 
 What it computes follows the dtype of the expected signal.
 """
