@@ -83,8 +83,13 @@ def within_grey_levels(pictures):
 
 
 def ranks(draws, truth):
-    """Draws below the truth: draws (n, draws, ...), truth (n, ...)."""
-    return (draws < truth[:, None]).sum(axis=1)
+    """Draws below the truth, and of equal ones a random share, as of an area of no pixel.
+
+    Draws (n, draws, ...), truth (n, ...).
+    """
+    below = (draws < truth[:, None]).sum(axis=1)
+    equal = (draws == truth[:, None]).sum(axis=1)
+    return np.random.default_rng(8).integers(below, below + equal + 1)
 
 
 def coverage(draws, truth, level):
