@@ -162,6 +162,10 @@ class _CountingCamera(Camera):
         """Steps of the ADC up to a signal of 1."""
         return self._top / self.highest
 
+    def _code(self, y: jax.Array) -> jax.Array:
+        code = jnp.round(y * self._codes_of_one)
+        return jnp.clip(code, 0, self._top).astype(jnp.int32)
+
     def from_codes(self, codes: np.ndarray) -> jax.Array:
         """Normalised recording from ADC codes: integers 0 .. 2^bits - 1 of any integer dtype.
 
@@ -235,8 +239,8 @@ class _CountingCamera(Camera):
         if off.any():
             raise ValueError(
                 f"y = {y[off].flat[0]:.6g} is not on the grid k/{self._codes_of_one:.6g} of a "
-                f"{self.bits}-bit "
-                "ADC: set bits to the ADC's, or to None for data that were not quantised"
+                f"{self.bits}-bit ADC: set bits to the ADC's, or to None for data that were not "
+                "quantised"
             )
 
 
@@ -322,10 +326,6 @@ class Poisson(_CountingCamera):
             return low, jnp.where(low >= self.holds, jnp.inf, low)
         table, code = jnp.asarray(_first_counts(self.holds, self.bits), y.dtype), self._code(y)
         return table[code], jnp.where(code == self._top, jnp.inf, table[code + 1] - 1)
-
-    def _code(self, y: jax.Array) -> jax.Array:
-        code = jnp.round(y * self._codes_of_one)
-        return jnp.clip(code, 0, self._top).astype(jnp.int32)
 
     def check(self, y: np.ndarray) -> None:
         """Refuse nan, inf, integers, complex, out of range, and what no electron count gives."""
@@ -415,7 +415,7 @@ class PoissonGaussian(_CountingCamera):
         noise, well = self.read_noise, self.full_well
         if self.bits is None:
             return noisy_count_log_pdf(y * well, lam, noise, well) + math.log(well)
-        code = jnp.clip(jnp.round(y * self._top), 0, self._top).astype(jnp.int32)
+        code = self._code(y)
         edges = tuple(jnp.asarray(e, expected.dtype)[code] for e in _edges(well, self.bits))
         open_ends = code == 0, code == self._top
         return noisy_count_log_interval(edges, well / self._top, lam, noise, well, open_ends)

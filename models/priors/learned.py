@@ -67,16 +67,18 @@ class LearnedPrior(Prior):
         shape: tuple[int, ...],
         perturbation: str = "gaussian",
         dtype: type | None = None,
+        sampling_steps: int = 40,
     ) -> Self:
         """Weights by their short name ("nuclei"), the path of a .safetensors file, or what it
         begins with, before "-gaussian-score.safetensors" and the like.
 
         `perturbation` and `dtype` (float or complex; None: what the weights are for) are what the
-        problem asks for. Raises ValueError if the file or its card is damaged or not for that.
+        problem asks for; `sampling_steps`: the levels of `sample`. Raises ValueError if the file or
+        its card is damaged or not for that.
         """
         from .storage import load_denoiser
 
-        return cls(load_denoiser(name, cls.kind, perturbation, dtype), shape)
+        return cls(load_denoiser(name, cls.kind, perturbation, dtype), shape, sampling_steps)
 
     @property
     def statistics(self) -> Statistics:

@@ -10,10 +10,10 @@ import typer
 from rich.progress import track
 
 from ..diagnostics.prior_plot import plot_prior
-from ..files import replace_whole
+from ..files import replace_whole, save_array
 from ..models.priors import EnergyPrior, ScorePrior
 from ..models.priors.learned import LearnedPrior
-from ..models.priors.storage import card_of, shipped
+from ..presets import DENOISING, SAMPLERS, best_sampler, weights_card, whole_path
 from .options import Overwrite, Quiet
 
 _FILES = ("draws.npy", "draws.png")
@@ -40,7 +40,9 @@ def command(
     for option, value, least in (("size", size, 4), ("draws", draws, 1), ("steps", steps, 2)):
         if value < least:
             raise ValueError(f"--{option} {value}: give {least} or more")
-    card = card_of(name, "score", _perturbation(name))
+    # The weights that denoising takes: counts, whose draws are best, if there are such.
+    name = whole_path(DENOISING, name, None)
+    card = weights_card(name, SAMPLERS[best_sampler(DENOISING, name)].needs)
     print("\n".join(_told(card)))
     if out is None:
         return
@@ -49,17 +51,10 @@ def command(
     keys = jax.random.split(jax.random.key(seed), draws)
     draw = jax.jit(lambda key: prior.sample(key))
     drawn = np.stack([draw(key) for key in track(keys, "draws", disable=quiet)])
-    replace_whole(out / "draws.npy", lambda part: _save(part, drawn))
+    save_array(out / "draws.npy", drawn)
     figure = plot_prior(drawn)
     replace_whole(out / "draws.png", lambda part: figure.savefig(part, dpi=150, format="png"))
     print(f"draws in {out}")
-
-
-def _perturbation(name: str) -> str:
-    """Of a short name: counts, whose draws are best, if there are such weights."""
-    stem = f"{name}-poisson-score"
-    found = stem in shipped() or Path(f"{stem}.safetensors").is_file()
-    return "poisson" if found else "gaussian"
 
 
 def _told(card: dict[str, Any]) -> list[str]:
@@ -107,10 +102,4 @@ def _prior(name: str, card: dict[str, Any], size: int, steps: int) -> LearnedPri
         )
     kind = {"score": ScorePrior, "energy": EnergyPrior}[card["kind"]]
     shape = (size, size, 3) if card["network"]["channels"] == 3 else (size, size)
-    loaded = kind.load(name, shape, perturbation)
-    return kind(loaded.denoiser, loaded.shape, sampling_steps=steps)
-
-
-def _save(path: str, array: np.ndarray) -> None:
-    with open(path, "wb") as file:
-        np.save(file, array)
+    return kind.load(name, shape, perturbation, sampling_steps=steps)

@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +12,7 @@ import numpy as np
 import typer
 
 from ..diagnostics.features import HAAR, Features, bottleneck_features
-from ..files import replace_whole
+from ..files import replace_whole, save_array
 from ..models.priors import ScorePrior
 from ..models.priors.perturbation import PERTURBATIONS
 from ..models.priors.storage import card_of
@@ -185,13 +184,8 @@ def _write_left_halves(out: Path, fields: dict[str, Captures]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for name, captures in fields.items():
         for i, part in enumerate(left_halves_of(captures)):
-            replace_whole(out / f"{name}_{i}.npy", partial(_save_array, part))
+            save_array(out / f"{name}_{i}.npy", part)
     typer.echo(f"left halves of {len(fields)} average(s) written to {out}")
-
-
-def _save_array(array: np.ndarray, path: str) -> None:
-    with open(path, "wb") as file:
-        np.save(file, array)
 
 
 def _checked(system: list[str] | None, pictures: int, draws: int) -> list[str]:

@@ -64,9 +64,8 @@ def own_draws(sampler):
     """(n, 64, 64) of the sampler's prior, by many more levels than a look at it needs."""
     _, perturbation, kind = SAMPLERS[sampler]
     assert perturbation != "signal", "its prior's own draws are far too dark"
-    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation)
-    fine = kind(prior.denoiser, prior.shape, sampling_steps=400)
-    draw = jax.jit(lambda key: fine.sample(key))
+    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation, sampling_steps=400)
+    draw = jax.jit(lambda key: prior.sample(key))
     return np.stack([draw(key) for key in jax.random.split(jax.random.key(5), PATCHES)])
 
 
@@ -221,7 +220,7 @@ def test_the_network_alone_beats_bm3d(kind):
 
 @pytest.mark.parametrize("sigma", [0.025, 0.05, 0.1, 0.2, 0.4, 0.8])
 def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
-    """The energy is trained by it, the score network as a denoiser, which does no worse."""
+    """The energy is trained by it, the score network as a denoiser, and for longer: it is less."""
     folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
     card = card_of("nuclei", "score", "signal")
     clean = jnp.asarray(held_out(card, folder, "validation", 32, SIDE))
@@ -233,4 +232,4 @@ def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
         score = jax.jit(lambda z, prior=prior: jax.lax.map(lambda z: prior.score(z, sigma), z))(z)
         losses.append(float(signal_score_loss(score, clean, z, sigma, prior.statistics.lowest)))
     print(f"\nsigma {sigma}: score {losses[0]:.4f}, energy {losses[1]:.4f}")
-    assert losses[0] < 1.02 * losses[1]
+    assert losses[0] < losses[1]

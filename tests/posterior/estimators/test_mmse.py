@@ -61,21 +61,25 @@ def test_counts_give_the_conjugate_mean(x64):
 
 
 def test_of_a_code_that_hides_counts_it_is_the_mean_by_quadrature(x64):
-    """Sixteen counts a code, no wider than two sd of their noise where it is not dark: the least of
-    them is at least 0.3 sd too dark, the middle 0.03 off.
+    """Sixteen counts a code: off by as much as their mean, negative binomial, is off the middle,
+    which is a tenth of what the least of them would be off.
     """
     camera = models.Poisson(240, bits=4)
     prior = models.PixelPrior.gamma(3.0, 8.0, (12,), perturbation="poisson")
     codes = np.arange(3, 15) / 15
-    x = np.linspace(0.001, 2, 20_000)[:, None]
-    density = scipy.stats.gamma(3.0, scale=1 / 8).pdf(x)
-    weight = density * np.exp(np.asarray(camera.log_prob(codes, x)))
+    x = np.linspace(1e-4, 4, 40_000)[:, None]
+    weight = scipy.stats.gamma(3.0, scale=1 / 8).pdf(x)
+    weight = weight * np.exp(np.asarray(camera.log_prob(codes, x)))
     mean = np.sum(weight * x, axis=0) / np.sum(weight, axis=0)
-    sd = np.sqrt(np.sum(weight * (x - mean) ** 2, axis=0) / np.sum(weight, axis=0))
-    off = (np.asarray(estimators.mmse(counted(prior, codes, camera))) - mean) / sd
-    assert np.abs(off).max() < 0.04
-    least = np.asarray(camera.electrons_between(codes)[0])
-    assert np.all((least + 3) / 248 < mean - 0.3 * sd)
+    least, most = np.asarray(camera.electrons_between(codes))
+    counts = least + np.arange(16)[:, None]
+    assert np.all(counts[-1] == most)
+    share = scipy.stats.nbinom(3, 8 / 248).pmf(counts)
+    expected = np.sum(share * counts, axis=0) / np.sum(share, axis=0)
+    off = (least + most) / 2 - expected
+    found = np.asarray(estimators.mmse(counted(prior, codes, camera)))
+    np.testing.assert_allclose(found - off / 248, mean, rtol=1e-6)
+    assert np.all(np.abs(off) < (expected - least) / 10)
 
 
 @pytest.mark.slow
