@@ -8,21 +8,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.progress import track
 
-from .diagnostics.spread import spread_over_error
-from .models.camera import Poisson
-from .models.likelihood import LinearLikelihood
-from .models.optics import Identity
-from .models.priors.learned import LearnedPrior
+from .models.priors.denoiser import Denoiser
+from .models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
 from .models.priors.perturbation import perturbed
-from .problem import Problem
-from .samplers import Thickening
-from .sampling import sample
 
 SIGMAS = (0.025, 0.05, 0.1, 0.2)
 PATCHES, SIDE, DRAWS = 32, 64, 8
-FULL_WELLS, RANKED = (100, 25), 16
 # Means of so many losses; one this many times the median of the ten before it is a jump. Two right
 # trainings of 8000 steps stay below 1.1; one that a bad step spoilt for good had 27.
 _STRETCH, _BEFORE, _JUMP = 50, 10, 3.0
@@ -40,6 +32,16 @@ def central_patches(pictures: list[np.ndarray], stride: int, side: int = SIDE) -
         top, left = (p.shape[0] - side) // 2, (p.shape[1] - side) // 2
         patches.append(p[top : top + side, left : left + side])
     return np.stack(patches)
+
+
+def on_patches(
+    denoiser: Denoiser, kind: str, pictures: list[np.ndarray]
+) -> tuple[LearnedPrior, np.ndarray]:
+    """The prior for those patches (n, h, w, channels) of pictures, and they."""
+    patches = central_patches(pictures, denoiser.network.stride)
+    colour = denoiser.network.channels == 3
+    shape = patches.shape[1:] if colour else patches.shape[1:3]
+    return (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape), patches
 
 
 def denoising(
@@ -64,45 +66,6 @@ def denoising(
             for name, value in found.items()
         }
     return table
-
-
-def calibration(
-    prior: LearnedPrior, patches: np.ndarray, seed: int = 0, quiet: bool = True
-) -> dict[str, dict[str, float]]:
-    """Is the spread of draws the error of their mean, on pictures held out? By full well.
-
-    For the poisson perturbation. Of 16 draws of each patch (n, h, w, channels): "spread_over_error"
-    is 1 for true draws; "inside" is the share of pixels that lie between the least and the largest
-    draw, and "nominal" what it ought to be.
-    """
-    truth = patches.reshape(-1, *prior.shape)
-    found = {}
-    for full_well in FULL_WELLS:
-        camera = Poisson(full_well)
-        likelihood = LinearLikelihood(Identity(prior.shape), camera)
-        problem, draws = Problem(likelihood, prior), []
-        told = f"calibration at full well {full_well}"
-        for i, picture in enumerate(track(truth, told, disable=quiet)):
-            key = jax.random.fold_in(jax.random.key(seed), i)
-            y = camera.sample(key, jnp.asarray(picture))
-            settings = {"chains": RANKED, "draws": 1, "progress": False}
-            run = sample(problem.condition(y), Thickening(), key, **settings)
-            draws.append(run.values[:, 0])
-        found[str(full_well)] = _spread_and_coverage(np.stack(draws), truth)
-    return found
-
-
-def _spread_and_coverage(draws: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Draws (n, draws, ...), truth (n, ...)."""
-    count = draws.shape[1]
-    rank = (draws < truth[:, None]).sum(axis=1)
-    inside = np.mean((rank > 0) & (rank < count))
-    nominal = 1 - 2 / (count + 1)
-    return {
-        "spread_over_error": round(spread_over_error(draws, truth), 3),
-        "inside": round(float(inside), 3),
-        "nominal": round(nominal, 3),
-    }
 
 
 def denoised(prior: LearnedPrior, noisy: np.ndarray, sigma: float) -> np.ndarray:

@@ -9,12 +9,12 @@ from ..diagnostics.coverage import coverage
 from ..diagnostics.features import HAAR, Features
 from ..diagnostics.fidelity import crps, psnr, ssim
 from ..diagnostics.frechet import frechet_from_truths, frechet_of_halves
+from ..diagnostics.regions import as_planes, block_means, image_means
 from ..diagnostics.spread import spread_over_error
 from .harness import Answer
 from .systems import SYSTEMS
 
 LEVELS = (0.5, 0.9)
-_BLOCK = 8
 _HEAD = (
     "system", "mean, dB", "paper, dB", "a draw, dB", "SSIM", "paper, SSIM", "CRPS x 1000",
     "Frechet / floor (p)", "pixels in 50 / 90 %", "8x8 means", "image mean", "spread over error",
@@ -53,8 +53,8 @@ def judged(answer: Answer, truths: np.ndarray) -> dict[str, float | tuple[float,
     if draws.shape[1] < 2:
         return found
     rng = np.random.default_rng(0)
-    drawn, true = (draws, truths) if truths.ndim == 3 else (_planes(draws), _planes(truths))
-    asked = {"pixels": _same, "blocks": block_means, "image mean": _image_mean}
+    drawn, true = (draws, truths) if truths.ndim == 3 else (as_planes(draws), as_planes(truths))
+    asked = {"pixels": _same, "blocks": block_means, "image mean": image_means}
     for name, f in asked.items():
         shares = [coverage(f(drawn), f(true), level, rng) for level in LEVELS]
         found[name] = tuple(value for share in shares for value in (share.share, share.error))
@@ -64,24 +64,8 @@ def judged(answer: Answer, truths: np.ndarray) -> dict[str, float | tuple[float,
     return found
 
 
-def block_means(images: np.ndarray) -> np.ndarray:
-    """Means (..., h // 8, w // 8) of whole 8x8 blocks of images (..., h, w)."""
-    h, w = (n // _BLOCK for n in images.shape[-2:])
-    whole = images[..., : h * _BLOCK, : w * _BLOCK]
-    return whole.reshape(*images.shape[:-2], h, _BLOCK, w, _BLOCK).mean((-3, -1))
-
-
-def _planes(images: np.ndarray) -> np.ndarray:
-    """Pictures in colour (..., h, w, 3) as planes (..., 3, h, w)."""
-    return np.moveaxis(images, -1, -3)
-
-
 def _same(images: np.ndarray) -> np.ndarray:
     return images
-
-
-def _image_mean(images: np.ndarray) -> np.ndarray:
-    return images.mean((-2, -1))
 
 
 def as_table(

@@ -123,7 +123,7 @@ def _then_mala(_: Posterior) -> AnnealedLangevin:
     return AnnealedLangevin(levels=45, steps=4, polish=200)
 
 
-def _published_kawar(posterior: Posterior) -> Kawar:
+def published_kawar(posterior: Posterior) -> Kawar:
     """By the schedule of NCSNv2 for faces of 64x64 (Song and Ermon 2020, configs/celeba.yml).
 
     Of 500 levels from 90 to 0.01 as many as lie below the noise at full light, with 5 steps of
@@ -169,7 +169,7 @@ SYSTEMS = {
         "Kawar et al. 2021, to equilibrium: 300 levels of 5 large steps",
     ),
     "Kawar, published": System(
-        _sampler("kawar", "gaussian", _published_kawar),
+        _sampler("kawar", "gaussian", published_kawar),
         True,
         "Kawar et al. 2021, by the levels and steps of Song and Ermon 2020",
         (34.2, 34.1, 30.6, 27.1),

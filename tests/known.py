@@ -94,12 +94,6 @@ def grid_posterior(post, half_width=1.6, points=801):
     return np.asarray(grid), weight / weight.sum()
 
 
-def block_means(images, side=8):
-    """Means (..., h/side, w/side) over the blocks of images (..., h, w)."""
-    h, w = (n // side for n in images.shape[-2:])
-    return images.reshape(*images.shape[:-2], h, side, w, side).mean((-3, -1))
-
-
 def with_nominal_microscope(stack, upsampling):
     """Quasi-Newton that believes a stack's microscope; object and brightness of the LEDs in turns.
 

@@ -63,11 +63,21 @@ def save_weights(
         "parameters": sum(a.size for a in arrays.values()),
         "sha256": digest,
     }
-    partial_card = card_path(path).with_name(card_path(path).name + ".part")
-    partial_card.write_text(json.dumps(card, indent=1, ensure_ascii=False) + "\n")
+    partial_card = _partial_card(path, card)
     os.replace(partial, path)
     os.replace(partial_card, card_path(path))
     return card
+
+
+def save_card(path: Path, card: dict[str, Any]) -> None:
+    """Replace the card of the weights at `path`, which stay as they are."""
+    os.replace(_partial_card(path, card), card_path(path))
+
+
+def _partial_card(path: Path, card: dict[str, Any]) -> Path:
+    partial = card_path(path).with_name(card_path(path).name + ".part")
+    partial.write_text(json.dumps(card, indent=1, ensure_ascii=False) + "\n")
+    return partial
 
 
 def card_path(path: Path) -> Path:
@@ -89,7 +99,7 @@ def card_of(
     name: str | os.PathLike, kind: str = "score", perturbation: str = "gaussian"
 ) -> dict[str, Any]:
     """The model card of a shipped name or a .safetensors path; raises as `load_denoiser`."""
-    return read_card(_located(name, kind, perturbation))
+    return read_card(located(name, kind, perturbation))
 
 
 def load_denoiser(
@@ -101,7 +111,7 @@ def load_denoiser(
     Raises FileNotFoundError, or ValueError in one sentence: damaged file or card, hash or shapes
     that do not fit, another kind, perturbation or object dtype.
     """
-    path = _located(name, kind, perturbation)
+    path = located(name, kind, perturbation)
     card = read_card(path)
     _check_asked(path, card, kind, perturbation, dtype)
     raw = path.read_bytes()
@@ -144,7 +154,7 @@ def read_card(path: Path) -> dict[str, Any]:
     return card
 
 
-def _located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
+def located(name: str | os.PathLike, kind: str, perturbation: str) -> Path:
     path = Path(name)
     if path.suffix == ".safetensors":
         if not path.is_file():

@@ -13,11 +13,12 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..models.priors.denoiser import Denoiser, Statistics
-from ..models.priors.learned import EnergyPrior, LearnedPrior, ScorePrior
+from ..models.priors.learned import LearnedPrior
 from ..models.priors.perturbation import PERTURBATIONS, check_perturbation
 from ..models.priors.pictures import SYMMETRIES
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from ..models.priors.training import PRECISIONS, Recipe
+from ..prior_calibration import calibration
 from ..train import (
     HOLD_OUT,
     OBJECTS,
@@ -29,13 +30,7 @@ from ..train import (
     statistics_of,
     train,
 )
-from ..training_report import (
-    calibration,
-    central_patches,
-    denoising,
-    doubts,
-    write_report,
-)
+from ..training_report import denoising, doubts, on_patches, write_report
 from .options import study_data
 
 
@@ -149,10 +144,7 @@ def _validated(
     denoiser: Denoiser, kind: str, pictures: list[np.ndarray], quiet: bool
 ) -> tuple[LearnedPrior, dict[str, Any]]:
     """The prior for patches, and what it is worth on pictures that it was not trained on."""
-    patches = central_patches(pictures, denoiser.network.stride)
-    colour = denoiser.network.channels == 3
-    shape = patches.shape[1:] if colour else patches.shape[1:3]
-    prior = (EnergyPrior if kind == "energy" else ScorePrior)(denoiser, shape)
+    prior, patches = on_patches(denoiser, kind, pictures)
     found = {"denoising_psnr_db": denoising(prior, patches), "patches": len(patches)}
     if prior.perturbation == "poisson":
         found["calibration"] = calibration(prior, patches, quiet=quiet)

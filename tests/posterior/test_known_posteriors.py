@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 
 import posterior as ps
-from known import (
-    batch_error,
-    block_means,
-    check_mean,
-    check_moments,
-    linear_gaussian,
-    real_view,
-)
+from known import batch_error, check_mean, check_moments, linear_gaussian, real_view
 from posterior import diagnostics, models, samplers
 from posterior.diagnostics import spread_over_error
+from posterior.diagnostics.regions import block_means
 from posterior.samplers.base import langevin_step
 from posterior.samplers.ula import ULAState
 

@@ -9,6 +9,8 @@ NUCLEI_PRIOR=nuclei-large asks the larger networks.
 
 import os
 import time
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +18,14 @@ import numpy as np
 import pytest
 
 import posterior as ps
-from known import block_means
 from posterior import models, presets
 from posterior.diagnostics import randomised_ranks, spread_over_error, uniformity
+from posterior.diagnostics.regions import block_means, bright_areas, image_means
 from posterior.estimators import anscombe_denoised
 from posterior.models.priors.perturbation import perturbed, signal_score_loss
 from posterior.models.priors.storage import card_of
 from posterior.studies import held_out
+from posterior.studies.systems import published_kawar
 from posterior.train import Preparation, prepare
 from posterior.training_report import mean_psnr
 
@@ -36,19 +39,31 @@ DRAWS = int(os.environ.get("NUCLEI_DRAWS", 64))
 PART = os.environ.get("NUCLEI_PART", "test")
 PRIOR = os.environ.get("NUCLEI_PRIOR", "nuclei")
 ASKED = os.environ.get("NUCLEI_SAMPLERS", "thickening").split(",")
-# Name in the table: name of the sampler, and perturbation and kind of the prior.
-SAMPLERS = {
-    "thickening": ("thickening", "poisson", models.ScorePrior),
-    "annealed": ("annealed", "gaussian", models.ScorePrior),
-    "annealed-signal": ("annealed", "signal", models.ScorePrior),
-    "signal-energy": ("annealed", "signal", models.EnergyPrior),
-    "split-signal": ("annealed-split", "signal", models.ScorePrior),
-    "split-gibbs": ("split-gibbs", "gaussian", models.ScorePrior),
-    "daps": ("daps", "gaussian", models.ScorePrior),
-    "dps": ("dps", "gaussian", models.ScorePrior),
-    "kawar": ("kawar", "gaussian", models.ScorePrior),
-}
 SIDE, BATCH = 64, 16
+
+
+class Asked(NamedTuple):
+    """A sampler by its name, the error and kind of its prior, and settings that are not its own."""
+
+    sampler: str
+    perturbation: str = "gaussian"
+    kind: type = models.ScorePrior
+    build: Callable | None = None
+
+
+SAMPLERS = {
+    "thickening": Asked("thickening", "poisson"),
+    "annealed": Asked("annealed"),
+    "annealed-signal": Asked("annealed", "signal"),
+    # The command line polishes under an energy by MALA, which the study of systems has.
+    "signal-energy": Asked("annealed", "signal", models.EnergyPrior, presets.learned_annealing),
+    "split-signal": Asked("annealed-split", "signal"),
+    "split-gibbs": Asked("split-gibbs"),
+    "daps": Asked("daps"),
+    "dps": Asked("dps"),
+    "kawar": Asked("kawar"),
+    "kawar-published": Asked("kawar", build=published_kawar),
+}
 
 
 @pytest.fixture
@@ -62,9 +77,9 @@ def patches(sampler):
 
 def own_draws(sampler):
     """(n, 64, 64) of the sampler's prior, by many more levels than a look at it needs."""
-    _, perturbation, kind = SAMPLERS[sampler]
-    assert perturbation != "signal", "its prior's own draws are far too dark"
-    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation, sampling_steps=400)
+    asked = SAMPLERS[sampler]
+    assert asked.perturbation != "signal", "its prior's own draws are far too dark"
+    prior = asked.kind.load(PRIOR, (SIDE, SIDE), asked.perturbation, sampling_steps=400)
     draw = jax.jit(lambda key: prior.sample(key))
     return np.stack([draw(key) for key in jax.random.split(jax.random.key(5), PATCHES)])
 
@@ -127,11 +142,9 @@ def drawn(truth, full_well, sampler):
     """Recordings, draws (n, draws, 64, 64), and seconds a draw."""
     camera = models.Poisson(full_well)
     likelihood = models.LinearLikelihood(models.Identity((SIDE, SIDE)), camera)
-    sampler, perturbation, kind = SAMPLERS[sampler]
-    # The command line polishes under an energy by MALA, which the study of systems has.
-    energy = kind is models.EnergyPrior
-    build = presets.learned_annealing if energy else presets.SAMPLERS[sampler].build
-    prior = kind.load(PRIOR, (SIDE, SIDE), perturbation)
+    asked = SAMPLERS[sampler]
+    build = asked.build or presets.SAMPLERS[asked.sampler].build
+    prior = asked.kind.load(PRIOR, (SIDE, SIDE), asked.perturbation)
     problem = ps.Problem(likelihood, prior)
     y = np.stack([camera.sample(jax.random.key(i), jnp.asarray(x)) for i, x in enumerate(truth)])
     found, began = [], time.perf_counter()
@@ -139,7 +152,7 @@ def drawn(truth, full_well, sampler):
     for i, recording in enumerate(y):
         posterior = problem.condition(recording)
         key, settings = jax.random.key(1000 + i), {"chains": chains, "draws": DRAWS // chains}
-        settings["start"] = presets.start_of(sampler, posterior, key, chains)
+        settings["start"] = presets.start_of(asked.sampler, posterior, key, chains)
         run = ps.sample(posterior, build(posterior), key, progress=False, **settings)
         found.append(run.values.reshape(-1, SIDE, SIDE))
     seconds = (time.perf_counter() - began) / (len(y) * len(found[0]))
@@ -151,8 +164,8 @@ def summaries(images):
     return {
         "pixels": images,
         "blocks": block_means(images),
-        "area above 0.3": (images > 0.3).mean((-2, -1)),
-        "image mean": images.mean((-2, -1)),
+        "area above 0.3": bright_areas(images, 0.3),
+        "image mean": image_means(images),
     }
 
 

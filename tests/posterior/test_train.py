@@ -312,18 +312,6 @@ def test_a_network_below_bm3d_says_so():
     assert training_report.doubts(np.ones(10), table) == []
 
 
-def test_calibration_knows_true_draws_from_narrow_ones():
-    rng = np.random.default_rng(0)
-    centre, noise = rng.standard_normal((200, 1, 8, 8)), rng.standard_normal((200, 17, 8, 8))
-    exact = training_report._spread_and_coverage((centre + noise)[:, 1:], (centre + noise)[:, 0])
-    assert abs(exact["spread_over_error"] - 1) < 0.02
-    assert abs(exact["inside"] - exact["nominal"]) < 0.01
-    narrow = training_report._spread_and_coverage(
-        (centre + 0.8 * noise)[:, 1:], (centre + noise)[:, 0]
-    )
-    assert narrow["spread_over_error"] < 0.85 and narrow["inside"] < exact["nominal"] - 0.05
-
-
 def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monkeypatch):
     monkeypatch.setenv("POSTERIOR_DATA", str(tmp_path))
     assert _data_folder(Path("pictures")) == folder
