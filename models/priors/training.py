@@ -34,7 +34,8 @@ class Recipe:
     `average`: decay of the moving average of the weights that is kept; `clip`: largest norm of a
     gradient; `symmetry`: what a patch may be turned by, one of `SYMMETRIES`; `precision`: of the
     network's convolutions, one of `PRECISIONS`. Weights, their average, the loss and Adam are
-    float32 either way; bfloat16 pays on accelerators that have units for it.
+    float32 either way; bfloat16 pays on accelerators that have units for it. `averages`: weight of
+    errors of averages beside those of pixels (`squared_error`).
     """
 
     kind: str = "score"
@@ -47,6 +48,7 @@ class Recipe:
     seed: int = 0
     symmetry: str = "square"
     precision: str = "float32"
+    averages: float = 0.0
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -59,6 +61,8 @@ class Recipe:
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
+        if not 0 <= self.averages <= 1:
+            raise ValueError(f"averages {self.averages}: give a weight from 0 to 1, as 0.02")
         if not (self.rate > 0 and self.clip > 0 and 0 <= self.average < 1):
             raise ValueError(
                 f"rate {self.rate}, clip {self.clip}, average {self.average}: rate and clip must "
@@ -141,15 +145,18 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     x = perturbed(key_error, clean, sigma, stats.perturbation, stats.complex_valued)
     weight = denoiser.loss_weight(sigma)
     if stats.perturbation == "poisson":
-        return weight * count_loss(denoiser(x, sigma), clean, x, sigma, stats.mean)
+        denoised = denoiser(x, sigma)
+        return weight * count_loss(denoised, clean, x, sigma, stats.mean, recipe.averages)
     if recipe.kind == "score":
-        return weight * denoising_loss(denoiser(x, sigma), clean, stats.perturbation)
+        denoised = denoiser(x, sigma)
+        return weight * denoising_loss(denoised, clean, stats.perturbation, recipe.averages)
     score = -jax.grad(energy, argnums=1)(denoiser, x, sigma)
     if stats.perturbation == "signal":
         # denoising_loss is about sigma^2 times this one.
         return weight * sigma**2 * signal_score_loss(score, clean, x, sigma, stats.lowest)
     variance = denoiser.channel_sd(sigma) ** 2
-    return weight * denoising_loss(x + variance * score, clean, stats.perturbation)
+    denoised = x + variance * score
+    return weight * denoising_loss(denoised, clean, stats.perturbation, recipe.averages)
 
 
 def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:
