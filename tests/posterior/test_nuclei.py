@@ -246,3 +246,23 @@ def test_the_loss_of_scores_of_the_signal_dependent_error(sigma):
         losses.append(float(signal_score_loss(score, clean, z, sigma, prior.statistics.lowest)))
     print(f"\nsigma {sigma}: score {losses[0]:.4f}, energy {losses[1]:.4f}")
     assert losses[0] < losses[1]
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
+def test_the_gaussian_score_knows_image_means_at_every_level(sigma):
+    """What 24 noises of a picture have in common in the mean of the error, squared, on average of
+    24 pictures of its validation, over the noise of that mean: a twentieth of its variance at most.
+
+    Of 24 means with nothing in common the estimate has an sd of sqrt(2 / 24) / 24.
+    """
+    folder = os.path.join(os.environ["POSTERIOR_DATA"], "dsb2018_nuclei")
+    prior = models.ScorePrior.load(PRIOR, (SIDE, SIDE))
+    clean = jnp.asarray(held_out(card_of(PRIOR), folder, "validation", 24, SIDE))
+    denoise = jax.jit(lambda z: jax.lax.map(lambda z: prior.denoise(z, sigma), z))
+    noise = jax.random.normal(jax.random.key(0), (24, *clean.shape))
+    errors = np.stack([denoise(clean + sigma * e) - clean for e in noise])
+    means = image_means(errors) * SIDE / sigma
+    shared = np.mean(means.mean(axis=0) ** 2) - np.mean(means.var(axis=0, ddof=1)) / len(means)
+    error = np.sqrt(2 / 24) / len(means)
+    print(f"\n{PRIOR}, sigma {sigma}: shared {shared:+.3f} +- {error:.3f}")
+    assert shared < 0.05 + 3 * error
