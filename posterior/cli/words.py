@@ -138,7 +138,7 @@ def _learnt(card: dict[str, Any], sampler: str, denoises: bool) -> str:
             "check these intervals on pictures whose truth is known"
         )
     told = [
-        f"at full well {well} {', '.join(held_shares(row))} for {100 * row['nominal']:.0f} %"
+        f"{', '.join(held_shares(row))} at full well {well} ({100 * row['nominal']:.0f} % is right)"
         for well, row in found.items()
     ]
     wrong = [

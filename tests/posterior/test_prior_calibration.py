@@ -145,7 +145,7 @@ def told(sampler, picture=True, **row):
 
 
 def test_a_run_tells_what_the_card_knows_of_its_sampler():
-    assert "held at full well 100 85 % of pixels for 88 %" in told("annealed")
+    assert "held 85 % of pixels at full well 100 (88 % is right)" in told("annealed")
     assert "do not state" not in told("annealed", inside_image_means=0.8)
     assert "do not state image means from it" in told("annealed", inside_image_means=0.7)
     both = told("annealed", inside_image_means=0.7, inside_bright_areas=0.5)
