@@ -74,14 +74,17 @@ def command(
 def _calibrated(name: str, card: dict[str, Any], folder: Path, quiet: bool) -> dict[str, Any]:
     """The card, with what the intervals of its weights are worth; on disk too."""
     asked = name, card["kind"], card["statistics"]["perturbation"]
-    held_out = card["data"]["validation"]
-    if not isinstance(held_out, list):
-        raise ValueError(f"the card of {name} lists no pictures held out: train it anew")
+    held_out = card.get("data", {}).get("validation")
+    if not isinstance(held_out, list) or "preparation" not in card:
+        raise ValueError(
+            f"the card of {name} does not list the pictures held out, or how they were prepared: "
+            "train it anew with `posterior train`"
+        )
     how = Preparation(**card["preparation"])
     pictures = [prepare(folder / file, how) for file in held_out]
     prior, patches = on_patches(load_denoiser(*asked), card["kind"], pictures)
     found = {"calibration": calibration(prior, patches, quiet=quiet)}
-    card = card | {"validation": card["validation"] | found}
+    card = card | {"validation": card.get("validation", {}) | found}
     save_card(located(*asked), card)
     return card
 

@@ -131,6 +131,16 @@ def test_a_missing_picture_is_named_and_the_card_left_alone(weights, tmp_path, c
     assert weights.with_suffix(".json").read_text() == before
 
 
+def test_a_card_without_its_pictures_is_refused(weights, tmp_path, capsys):
+    path = weights.with_suffix(".json")
+    card = json.loads(path.read_text())
+    del card["data"]
+    path.write_text(json.dumps(card))
+    assert main(weights, "--calibrate", tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "does not list the pictures held out" in said and said.count("\n") == 1
+
+
 # ---- what a run says of it -----------------------------------------------------------------------
 
 
