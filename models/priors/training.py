@@ -62,11 +62,19 @@ class Recipe:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
         if not 0 <= self.averages <= 1:
-            raise ValueError(f"averages {self.averages}: give a weight from 0 to 1, as 0.02")
+            raise ValueError(f"averages {self.averages}: give a weight from 0 to 1, as 0.004")
         if not (self.rate > 0 and self.clip > 0 and 0 <= self.average < 1):
             raise ValueError(
                 f"rate {self.rate}, clip {self.clip}, average {self.average}: rate and clip must "
                 "be positive, average between 0 and 1"
+            )
+
+    def check(self, perturbation: str) -> None:
+        """Raise ValueError if weights for that error cannot be trained so."""
+        if self.averages and perturbation == "signal":
+            raise ValueError(
+                f"averages {self.averages}: of the signal-dependent error a network learns a "
+                "harmonic mean, which errors of averages would move; leave it out"
             )
 
     def optimiser(self) -> optax.GradientTransformation:
@@ -86,7 +94,11 @@ class TrainingState(NamedTuple):
 
 
 def start_training(denoiser: Denoiser, recipe: Recipe) -> TrainingState:
-    """State before the first step, from a denoiser fresh or trained before."""
+    """State before the first step, from a denoiser fresh or trained before.
+
+    Raises ValueError as `Recipe.check`.
+    """
+    recipe.check(denoiser.statistics.perturbation)
     weights = eqx.filter(denoiser, eqx.is_inexact_array)
     optimiser = recipe.optimiser().init(weights)
     return TrainingState(weights, weights, optimiser, jnp.zeros((), jnp.int32))

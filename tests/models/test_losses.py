@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from networks import fresh
+from posterior.models.priors.denoiser import Statistics
 from posterior.models.priors.perturbation import count_loss, denoising_loss, squared_error
-from posterior.models.priors.training import Recipe
+from posterior.models.priors.training import Recipe, start_training
 
 
 def test_an_even_error_counts_for_every_average():
@@ -60,6 +62,14 @@ def test_of_the_signal_dependent_error_averages_are_left_out():
         return jnp.mean(jax.vmap(lambda x: denoising_loss(d, x, "signal", 0.5))(clean))
 
     np.testing.assert_allclose(jax.grad(loss)(jnp.full((4, 4, 1), 1.5)), 0, atol=1e-6)
+
+
+def test_a_training_by_the_signal_dependent_error_refuses_them():
+    """From Python too, where they would be left out without a word."""
+    statistics = Statistics(0.5, 0.28, 0.01, 2.0, "signal", lowest=0.05)
+    with pytest.raises(ValueError, match="averages 0.004: of the signal-dependent error"):
+        start_training(fresh(statistics), Recipe(averages=0.004))
+    start_training(fresh(statistics), Recipe())
 
 
 @pytest.mark.parametrize("averages", [-0.1, 2.0, float("nan")])
