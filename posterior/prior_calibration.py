@@ -12,7 +12,7 @@ from .models.camera import Poisson
 from .models.likelihood import LinearLikelihood
 from .models.optics import Identity
 from .models.priors.learned import EnergyPrior, LearnedPrior
-from .presets import SAMPLERS
+from .presets import SAMPLERS, denoising_sampler
 from .problem import Problem
 from .sampling import sample
 
@@ -35,7 +35,7 @@ def measured_by(prior: LearnedPrior) -> str:
             "the prior is of complex objects, which have no counts: its intervals are those of "
             "`posterior study ptychography`"
         )
-    return "thickening" if prior.perturbation == "poisson" else "annealed"
+    return denoising_sampler(prior.perturbation)
 
 
 def calibration(

@@ -20,6 +20,7 @@ from .optics import LEDS, aperture_grid
 from .prior import (
     PRIOR_PICTURES,
     best_sampler,
+    denoising_sampler,
     is_shipped,
     is_trained,
     scout_of,

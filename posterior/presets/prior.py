@@ -172,7 +172,12 @@ def best_sampler(name: str, prior: str | None) -> str:
     counts = f"{prior}-poisson-score" in shipped() or (
         prior not in shipped_names() and card_of(prior)["statistics"]["perturbation"] == "poisson"
     )
-    return "thickening" if counts and name == DENOISING else "annealed"
+    return denoising_sampler("poisson") if counts and name == DENOISING else "annealed"
+
+
+def denoising_sampler(perturbation: str) -> str:
+    """The sampler of denoising under a score of that perturbation, where none is asked for."""
+    return "thickening" if perturbation == "poisson" else "annealed"
 
 
 def _fitted_prior(

@@ -97,13 +97,9 @@ def within_grey_levels(pictures):
 
 
 def ranks(draws, truth):
-    """Draws below the truth, and of equal ones a random share, as of an area of no pixel.
-
-    Draws (n, draws, ...), truth (n, ...).
-    """
-    below = (draws < truth[:, None]).sum(axis=1)
-    equal = (draws == truth[:, None]).sum(axis=1)
-    return np.random.default_rng(8).integers(below, below + equal + 1)
+    """How many of the draws (n, draws, ...) are below the truth (n, ...), ties at random."""
+    fractions = randomised_ranks(truth, draws, np.random.default_rng(8))
+    return np.floor(fractions * (draws.shape[1] + 1))
 
 
 def coverage(draws, truth, level):
