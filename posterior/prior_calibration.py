@@ -6,7 +6,13 @@ import numpy as np
 from rich.progress import track
 
 from .diagnostics.coverage import coverage
-from .diagnostics.regions import as_planes, block_means, bright_areas, image_means
+from .diagnostics.regions import (
+    as_planes,
+    block_means,
+    bright_areas,
+    image_means,
+    within_grey_levels,
+)
 from .diagnostics.spread import held_by, spread_over_error
 from .models.camera import Poisson
 from .models.likelihood import LinearLikelihood
@@ -70,17 +76,17 @@ def worth(draws: np.ndarray, truth: np.ndarray, bright: float) -> dict[str, floa
     Draws (n, draws, h, w[, 3]), truth (n, h, w[, 3]). "spread_over_error" is 1 for true draws;
     "inside" is the share of pixels between the least and the largest draw, "inside_8x8_means",
     "inside_image_means" and "inside_bright_areas", of pixels above `bright`, those of averages,
-    and "nominal" what they ought to be.
+    and "nominal" what they ought to be. Areas are of truths spread within their grey levels.
     """
-    nominal = held_by(draws.shape[1], 1.0)
+    nominal, rng = held_by(draws.shape[1], 1.0), np.random.default_rng(0)
     drawn, true = (draws, truth) if truth.ndim == 3 else (as_planes(draws), as_planes(truth))
+    spread = within_grey_levels(true, rng)
     asked = {
-        "inside": lambda images: images,
-        "inside_8x8_means": block_means,
-        "inside_image_means": image_means,
-        "inside_bright_areas": lambda images: bright_areas(images, bright),
+        "inside": (drawn, true),
+        "inside_8x8_means": (block_means(drawn), block_means(true)),
+        "inside_image_means": (image_means(drawn), image_means(true)),
+        "inside_bright_areas": (bright_areas(drawn, bright), bright_areas(spread, bright)),
     }
-    rng = np.random.default_rng(0)
-    shares = {name: coverage(f(drawn), f(true), nominal, rng).share for name, f in asked.items()}
+    shares = {name: coverage(*both, nominal, rng).share for name, both in asked.items()}
     found = {"spread_over_error": spread_over_error(draws, truth), "nominal": nominal} | shares
     return {name: round(float(value), 3) for name, value in found.items()}

@@ -20,7 +20,12 @@ import pytest
 import posterior as ps
 from posterior import models, presets
 from posterior.diagnostics import randomised_ranks, spread_over_error, uniformity
-from posterior.diagnostics.regions import block_means, bright_areas, image_means
+from posterior.diagnostics.regions import (
+    block_means,
+    bright_areas,
+    image_means,
+    within_grey_levels,
+)
 from posterior.estimators import anscombe_denoised
 from posterior.models.priors.perturbation import perturbed, signal_score_loss
 from posterior.models.priors.storage import card_of
@@ -82,18 +87,6 @@ def own_draws(sampler):
     prior = asked.kind.load(PRIOR, (SIDE, SIDE), asked.perturbation, sampling_steps=400)
     draw = jax.jit(lambda key: prior.sample(key))
     return np.stack([draw(key) for key in jax.random.split(jax.random.key(5), PATCHES)])
-
-
-def within_grey_levels(pictures):
-    """Each (n, h, w) spread evenly over the steps of its file, which are up to 0.04 wide.
-
-    The light behind a grey level is not known any better, and a share of pixels above a threshold
-    asks on which side of it whole levels fall.
-    """
-    rng = np.random.default_rng(6)
-    levels = [np.unique(picture[picture < 1]) for picture in pictures]
-    steps = np.array([np.diff(found).min() for found in levels])[:, None, None]
-    return pictures + steps * (rng.random(pictures.shape) - 0.5)
 
 
 def ranks(draws, truth):
@@ -188,7 +181,8 @@ def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
     print(f"spread over error {ratio:.3f}")
     found, truth = summaries(draws), summaries(patches)
     found["area, grey levels spread"] = found["area above 0.3"]
-    truth["area, grey levels spread"] = summaries(within_grey_levels(patches))["area above 0.3"]
+    spread = within_grey_levels(patches, np.random.default_rng(6))
+    truth["area, grey levels spread"] = summaries(spread)["area above 0.3"]
     inside = {
         name: [coverage(found[name], truth[name], level) for level in (0.5, 0.9)] for name in found
     }

@@ -10,6 +10,8 @@ from PIL import Image
 
 from posterior import cli, models, prior_calibration
 from posterior.cli.words import doubts, missed
+from posterior.diagnostics.coverage import coverage
+from posterior.diagnostics.regions import bright_areas
 from posterior.models.priors.storage import FOLDER
 from posterior.prior_calibration import calibration, measured_by, worth
 
@@ -63,6 +65,20 @@ def test_areas_of_no_pixel_are_held_as_often_as_others():
     images = centred(white) - 100
     found = worth(images[:, 1:], images[:, 0], 0.5)
     assert abs(found["inside_bright_areas"] - 15 / 17) < four_errors(400)
+
+
+def test_areas_of_truths_in_grey_levels_are_those_of_the_light_behind():
+    """Steps of a third of a sd, the threshold just above one: as they stand the area lacks 0.06,
+    four of its own sds, and no interval holds it; of truths spread over their levels as many do as
+    say so.
+    """
+    images = centred(white)
+    truth, draws = np.round(3 * images[:, 0]) / 3, images[:, 1:]
+    found = worth(draws, truth, 0.34)
+    assert abs(found["inside_bright_areas"] - 15 / 17) < four_errors(400)
+    rng = np.random.default_rng(0)
+    areas = bright_areas(draws, 0.34), bright_areas(truth, 0.34)
+    assert coverage(*areas, 15 / 17, rng).share < 0.2
 
 
 def test_draws_ten_percent_too_narrow_are_known():
