@@ -190,9 +190,11 @@ def test_denoising_of_pictures_never_trained_on(patches, full_well, sampler):
         said = ", ".join(f"{s:.3f} +- {e:.3f} ({right:.3f})" for s, e, right in shares)
         middle, error = mean_rank(found[name], truth[name])
         p = uniform_p(found[name], truth[name])
+        off = np.sqrt(np.mean((found[name].mean(axis=1) - truth[name]) ** 2))
+        sd = np.sqrt(np.mean(found[name].var(axis=1, ddof=1)))
         print(
             f"{name}: inside 50, 90 % (nominal): {said}; mean rank {middle:.3f} +- {error:.3f}; "
-            f"ranks uniform p {p:.2g}"
+            f"ranks uniform p {p:.2g}; mean of draws off by {off:.2g}, draws' sd {sd:.2g}"
         )
     if sampler == "thickening":
         assert 0.9 < ratio < 1.1
