@@ -36,8 +36,9 @@ HOLD_OUT = ("random", "last")
 
 # Trained levels in units of the pictures' sd, as an error per channel. The broadest is where noise
 # drowns every picture, so that draws may start from noise alone; the signal-dependent variable
-# must mostly stay positive, which ends it earlier. Of counts, 20 leaves a few in a whole patch.
-_FINEST, _BROADEST = 0.01, {"gaussian": 40.0, "signal": 4.0, "poisson": 20.0}
+# must mostly stay positive, which ends it earlier. Of counts, 200 leaves none in most patches: of a
+# few, how many there are tells how bright a picture is, which no draw may start from not knowing.
+_FINEST, _BROADEST = 0.01, {"gaussian": 40.0, "signal": 4.0, "poisson": 200.0}
 _SAVE_SECONDS = 60.0
 
 

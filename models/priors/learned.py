@@ -128,7 +128,9 @@ class LearnedPrior(Prior):
 
         Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
         finest level. An approximation: the network, the finite steps, a start that is pure noise.
-        For "poisson" by thickening (models/thinning.py) from a few counts in the whole picture.
+        For "poisson" by thickening (models/thinning.py) from the counts of the broadest level,
+        taken for those of an even light: none, or with older weights a few in the whole picture,
+        which leaves the brightest and the darkest pictures out.
         Never below the pictures' least value. For "signal" no more than a look at the network: the
         harmonic mean stands in for the mean, and draws come out far too dark.
         """

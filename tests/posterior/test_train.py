@@ -1,13 +1,16 @@
 """Training: what it learns, that it goes on bit for bit, and what it refuses."""
 
+import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -18,9 +21,10 @@ from posterior.cli import app
 from posterior.cli.train import _data_folder
 from posterior.models.priors import ScorePrior
 from posterior.models.priors.denoiser import Statistics
+from posterior.models.priors.learned import _thickened_draw
 from posterior.models.priors.pictures import Pictures
 from posterior.models.priors.training import Recipe, random_level
-from posterior.train import Preparation, picture_files, prepare, split_names
+from posterior.train import Preparation, picture_files, prepare, split_names, statistics_of
 
 
 def weights_of(denoiser):
@@ -173,12 +177,41 @@ def test_levels_are_within_the_trained_ones_and_reach_both_ends():
     for statistics in (
         Statistics(0.2, 0.2, 0.002, 8.0),
         Statistics(0.2, 0.2, 0.005, 2.0, "signal", lowest=0.01),
+        Statistics(0.2, 0.2, 0.005, 90.0, "poisson"),
     ):
         keys, denoiser = jax.random.split(jax.random.key(0), 2000), fresh(statistics)
         levels = eqx.filter_jit(eqx.filter_vmap(random_level, in_axes=(0, None)))(keys, denoiser)
         low, high = statistics.sigma_min, statistics.sigma_max
         assert low * 0.999 <= levels.min() < 2 * low
         assert high / 2 < levels.max() <= high * 1.001
+
+
+def brightness_of_draws(broadest):
+    """Draws of a prior of counts, and those of its pictures, each 64x64 of one light, a gamma one.
+
+    The counts of such a picture are those of one pixel in an exposure 64 x 64 times as long.
+    """
+    mean, sd, n = 0.175, 0.12, 64
+    shape, rate = (mean / sd) ** 2, mean / sd**2
+    stats = statistics_of([np.array([mean - sd, mean + sd])], "poisson", Preparation())
+    ends = {"sigma_min": stats.sigma_min / n, "sigma_max": broadest(stats) / n}
+    prior = SimpleNamespace(
+        statistics=dataclasses.replace(stats, **ends), sampling_steps=400, shape=(20_000,),
+        dtype=np.float64, denoise=lambda z, s: (z / s**2 + shape) / (1 / s**2 + rate),
+    )  # fmt: skip
+    draws = jax.jit(lambda key: _thickened_draw(prior, key))(jax.random.key(0))
+    return np.asarray(draws), scipy.stats.gamma(shape, scale=1 / rate)
+
+
+def test_draws_of_a_prior_of_counts_begin_before_any_tells_how_bright_they_are(x64):
+    """The Kolmogorov distance of 20,000 draws at 0.1 %; from a few counts in the whole picture,
+    where levels ended before, as bright pictures as dark ones are missing.
+    """
+    draws, exact = brightness_of_draws(lambda stats: stats.sigma_max)
+    assert scipy.stats.kstest(draws, exact.cdf).pvalue > 1e-3
+    draws, exact = brightness_of_draws(lambda stats: stats.sigma_max / 10)
+    assert draws.std() < 0.9 * exact.std()
+    assert scipy.stats.kstest(draws, exact.cdf).pvalue < 1e-6
 
 
 @pytest.mark.slow
