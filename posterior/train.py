@@ -18,6 +18,7 @@ import equinox as eqx
 import numpy as np
 
 from .checkpoint import Checkpoint, fingerprint
+from .diagnostics.regions import block_means
 from .images import central_square, fit_to, read_picture, to_grey, to_unit_range
 from .models.priors.denoiser import Denoiser, Statistics
 from .models.priors.learned import suited_shape
@@ -36,9 +37,9 @@ HOLD_OUT = ("random", "last")
 
 # Trained levels in units of the pictures' sd, as an error per channel. The broadest is where noise
 # drowns every picture, so that draws may start from noise alone; the signal-dependent variable
-# must mostly stay positive, which ends it earlier. Of counts, 200 leaves none in most patches: of a
-# few, how many there are tells how bright a picture is, which no draw may start from not knowing.
-_FINEST, _BROADEST = 0.01, {"gaussian": 40.0, "signal": 4.0, "poisson": 200.0}
+# must mostly stay positive, which ends it earlier. Of counts, 20 leaves a few in a whole patch; of
+# 200, which leaves none, a single count is so far from all others that the loss jumps.
+_FINEST, _BROADEST = 0.01, {"gaussian": 40.0, "signal": 4.0, "poisson": 20.0}
 _SAVE_SECONDS = 60.0
 
 
@@ -177,9 +178,11 @@ def normalisation(how: Preparation) -> str:
 
 
 def statistics_of(
-    pictures: Sequence[np.ndarray], perturbation: str, how: Preparation
+    pictures: Sequence[np.ndarray], perturbation: str, how: Preparation, size: int
 ) -> Statistics:
-    """Mean and sd of the training pictures, and the levels that they suggest."""
+    """Mean and sd of the training pictures, the levels that they suggest, and for counts the sd of
+    the means of their squares of `size` pixels, as large as the patches of training.
+    """
     complex_valued = how.objects == "complex"
     flat = np.concatenate([p.ravel() for p in pictures]).astype(float)
     mean, sd = float(flat.mean()), float(flat.std())
@@ -195,7 +198,14 @@ def statistics_of(
         perturbation=perturbation,
         complex_valued=complex_valued,
         lowest=None if complex_valued else how.floor,
+        brightness_sd=_brightness_sd(pictures, size) if perturbation == "poisson" else None,
     )
+
+
+def _brightness_sd(pictures: Sequence[np.ndarray], size: int) -> float | None:
+    means = [block_means(picture.mean(-1), size).ravel() for picture in pictures]
+    sd = float(np.concatenate(means).std())
+    return _rounded(sd) if sd > 0 else None
 
 
 def _rounded(value: float) -> float:

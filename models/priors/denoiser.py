@@ -26,7 +26,8 @@ class Statistics:
 
     `mean` and `sd` of a channel value over the training pictures; `sigma_min`, `sigma_max`: the
     trained levels; `lowest`: the least value of a picture, None if there is no such bound, and the
-    positive floor of eq:true_p for "signal".
+    positive floor of eq:true_p for "signal"; `brightness_sd`: sd of the means of training patches,
+    None if it is not known, as in all weights but those of counts.
     """
 
     mean: float
@@ -36,6 +37,7 @@ class Statistics:
     perturbation: str = "gaussian"
     complex_valued: bool = False
     lowest: float | None = None
+    brightness_sd: float | None = None
 
     def __post_init__(self):
         check_perturbation(self.perturbation, self.complex_valued)
@@ -45,6 +47,11 @@ class Statistics:
             )
         if not (self.sd > 0 and math.isfinite(self.sd + self.mean)):
             raise ValueError(f"mean {self.mean}, sd {self.sd}: the pictures must vary")
+        if self.brightness_sd is not None and not 0 < self.brightness_sd < math.inf:
+            raise ValueError(
+                f"brightness_sd {self.brightness_sd}: give the sd of patches' means, a positive "
+                "number, or None"
+            )
         if self.perturbation == "signal" and not (self.lowest and self.lowest > 0):
             raise ValueError(
                 f"lowest value {self.lowest}: the signal perturbation needs a positive floor"

@@ -128,9 +128,8 @@ class LearnedPrior(Prior):
 
         Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
         finest level. An approximation: the network, the finite steps, a start that is pure noise.
-        For "poisson" by thickening (models/thinning.py) from the counts of the broadest level,
-        taken for those of an even light: none, or with older weights a few in the whole picture,
-        which leaves the brightest and the darkest pictures out.
+        For "poisson" by thickening (models/thinning.py) from a few counts in the whole picture, as
+        if of an even light.
         Never below the pictures' least value. For "signal" no more than a look at the network: the
         harmonic mean stands in for the mean, and draws come out far too dark.
         """
@@ -348,8 +347,21 @@ def _flow_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
 def _thickened_draw(prior: LearnedPrior, key: jax.Array) -> jax.Array:
     """From the broadest level, whose few counts are as if of an even light, to the finest."""
     stats = prior.statistics
-    key_first, key_more = jax.random.split(key)
+    key_light, key_first, key_more = jax.random.split(key, 3)
     ends = stats.sigma_max, stats.sigma_min
     sigmas = jnp.geomspace(*ends, prior.sampling_steps).astype(prior.dtype)
-    few = jax.random.poisson(key_first, stats.mean / stats.sigma_max**2, prior.shape)
+    light = _even_light(key_light, stats)
+    few = jax.random.poisson(key_first, light / stats.sigma_max**2, prior.shape)
     return thickened(key_more, prior.denoise, few.astype(prior.dtype), sigmas)
+
+
+def _even_light(key: jax.Array, stats: Statistics) -> jax.Array | float:
+    """A brightness of the pictures' mean, and of their spread if that is known: gamma.
+
+    How many the first counts are tells how bright a picture is, so that of one brightness alone
+    they leave the brightest and the darkest pictures out.
+    """
+    if stats.brightness_sd is None:
+        return stats.mean
+    variance = stats.brightness_sd**2
+    return jax.random.gamma(key, stats.mean**2 / variance) * variance / stats.mean

@@ -22,10 +22,8 @@ KINDS = ("score", "energy")
 PRECISIONS = ("float32", "bfloat16")
 
 # The share of training levels that is spread evenly over all of them; the rest is near the level
-# of the picture's own contrast times _CENTRE, where denoising is hardest to learn. Draws of counts
-# begin without any, and what was learnt of the broadest levels decides how bright they become.
-_EVEN = {"gaussian": 0.1, "signal": 0.1, "poisson": 0.25}
-_CENTRE, _SPREAD = 0.4, 1.2
+# of the picture's own contrast times _CENTRE, where denoising is hardest to learn.
+_EVEN, _CENTRE, _SPREAD = 0.1, 0.4, 1.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,4 +179,4 @@ def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:
     centre = jnp.log(_CENTRE * denoiser.channel_spread / denoiser.channel_sd(1.0))
     near = jnp.clip(centre + _SPREAD * jax.random.normal(key_near), low, high)
     even = jax.random.uniform(key_even, minval=low, maxval=high)
-    return jnp.exp(jnp.where(jax.random.bernoulli(key_kind, _EVEN[stats.perturbation]), even, near))
+    return jnp.exp(jnp.where(jax.random.bernoulli(key_kind, _EVEN), even, near))

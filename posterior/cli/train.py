@@ -105,7 +105,7 @@ def command(
     pictures = [loaded[n] for n in split.train if min(loaded[n].shape[:2]) >= size]
     if not pictures:
         raise ValueError(f"no picture in {folder} has {size} pixels a side: give a smaller --size")
-    statistics = statistics_of(pictures, perturbation, how)
+    statistics = statistics_of(pictures, perturbation, how, size)
     description = _description(network, OBJECTS[objects], _widths(widths), blocks)
     built = build_network(description, jax.random.key(seed))
     if init is not None:

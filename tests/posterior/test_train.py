@@ -1,6 +1,5 @@
 """Training: what it learns, that it goes on bit for bit, and what it refuses."""
 
-import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -177,7 +176,7 @@ def test_levels_are_within_the_trained_ones_and_reach_both_ends():
     for statistics in (
         Statistics(0.2, 0.2, 0.002, 8.0),
         Statistics(0.2, 0.2, 0.005, 2.0, "signal", lowest=0.01),
-        Statistics(0.2, 0.2, 0.005, 90.0, "poisson"),
+        Statistics(0.2, 0.2, 0.005, 9.0, "poisson"),
     ):
         keys, denoiser = jax.random.split(jax.random.key(0), 2000), fresh(statistics)
         levels = eqx.filter_jit(eqx.filter_vmap(random_level, in_axes=(0, None)))(keys, denoiser)
@@ -186,30 +185,46 @@ def test_levels_are_within_the_trained_ones_and_reach_both_ends():
         assert high / 2 < levels.max() <= high * 1.001
 
 
-def brightness_of_draws(broadest):
+def test_statistics_of_counts_know_how_much_brightness_varies():
+    """Pictures of two squares of 8 pixels each, every one of its own light, and pixels about it."""
+    rng = np.random.default_rng(0)
+    lights = rng.uniform(0.1, 0.5, (50, 2))
+    speckle = rng.choice([-0.1, 0.1], (50, 8, 16))
+    speckle -= speckle.reshape(50, 8, 2, 8).mean((1, 3)).repeat(8, axis=1)[:, None]
+    pictures = (lights.repeat(8, axis=1)[:, None] + speckle)[..., None]
+    found = statistics_of(list(pictures), "poisson", Preparation(), 8)
+    assert found.brightness_sd == pytest.approx(lights.std(), rel=0.005)
+    assert statistics_of(list(pictures), "gaussian", Preparation(), 8).brightness_sd is None
+    assert statistics_of([pictures[0][:, :8]], "poisson", Preparation(), 8).brightness_sd is None
+    with pytest.raises(ValueError, match="brightness_sd -1"):
+        Statistics(0.2, 0.2, 0.005, 9.0, "poisson", brightness_sd=-1.0)
+
+
+def brightness_of_draws(brightness_sd):
     """Draws of a prior of counts, and those of its pictures, each 64x64 of one light, a gamma one.
 
     The counts of such a picture are those of one pixel in an exposure 64 x 64 times as long.
     """
     mean, sd, n = 0.175, 0.12, 64
     shape, rate = (mean / sd) ** 2, mean / sd**2
-    stats = statistics_of([np.array([mean - sd, mean + sd])], "poisson", Preparation())
-    ends = {"sigma_min": stats.sigma_min / n, "sigma_max": broadest(stats) / n}
+    ends = {"sigma_min": 0.005 / n, "sigma_max": 9.6 / n}
+    stats = Statistics(mean, sd, **ends, perturbation="poisson", brightness_sd=brightness_sd)
     prior = SimpleNamespace(
-        statistics=dataclasses.replace(stats, **ends), sampling_steps=400, shape=(20_000,),
-        dtype=np.float64, denoise=lambda z, s: (z / s**2 + shape) / (1 / s**2 + rate),
+        statistics=stats, sampling_steps=400, shape=(1,), dtype=np.float64,
+        denoise=lambda z, s: (z / s**2 + shape) / (1 / s**2 + rate),
     )  # fmt: skip
-    draws = jax.jit(lambda key: _thickened_draw(prior, key))(jax.random.key(0))
-    return np.asarray(draws), scipy.stats.gamma(shape, scale=1 / rate)
+    draw = jax.jit(jax.vmap(lambda key: _thickened_draw(prior, key)))
+    draws = draw(jax.random.split(jax.random.key(0), 20_000))
+    return np.asarray(draws)[:, 0], scipy.stats.gamma(shape, scale=1 / rate)
 
 
-def test_draws_of_a_prior_of_counts_begin_before_any_tells_how_bright_they_are(x64):
-    """The Kolmogorov distance of 20,000 draws at 0.1 %; from a few counts in the whole picture,
-    where levels ended before, as bright pictures as dark ones are missing.
+def test_draws_of_a_prior_of_counts_are_as_bright_as_its_pictures(x64):
+    """The Kolmogorov distance of 20,000 draws at 0.1 %; where all begin from one brightness, the
+    brightest and the darkest are missing.
     """
-    draws, exact = brightness_of_draws(lambda stats: stats.sigma_max)
+    draws, exact = brightness_of_draws(0.12)
     assert scipy.stats.kstest(draws, exact.cdf).pvalue > 1e-3
-    draws, exact = brightness_of_draws(lambda stats: stats.sigma_max / 10)
+    draws, exact = brightness_of_draws(None)
     assert draws.std() < 0.9 * exact.std()
     assert scipy.stats.kstest(draws, exact.cdf).pvalue < 1e-6
 
