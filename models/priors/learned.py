@@ -129,7 +129,7 @@ class LearnedPrior(Prior):
         Heun's rule on the probability flow (Karras et al. 2022), then one denoising step at the
         finest level. An approximation: the network, the finite steps, a start that is pure noise.
         For "poisson" by thickening (models/thinning.py) from a few counts in the whole picture, as
-        if of an even light.
+        if of an even light, whose brightness varies as that of the pictures.
         Never below the pictures' least value. For "signal" no more than a look at the network: the
         harmonic mean stands in for the mean, and draws come out far too dark.
         """
