@@ -29,7 +29,7 @@ ifndef POSTERIOR_DATA
 else
 	$(BIN)/posterior study approximations --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/approximations
 	$(BIN)/posterior study denoising --data "$(POSTERIOR_DATA)/dsb2018_nuclei" --out out/study
-	$(BIN)/posterior study denoising --data out/celeba --prior faces --pictures 8 --draws 8 --out out/faces
+	$(BIN)/posterior study denoising --data out/celeba --prior faces --pictures 16 --draws 8 --out out/faces
 	$(BIN)/posterior study measured --data "$(POSTERIOR_DATA)/fmd" --out out/measured
 	$(BIN)/posterior study measured --data "$(POSTERIOR_DATA)/fmd" --simulated --out out/measured-simulated
 	$(STUDY_PHASE) --definition prdeep --seeds 3 --out out/phase
