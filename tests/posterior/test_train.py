@@ -219,11 +219,15 @@ def brightness_of_draws(brightness_sd):
 
 
 def test_draws_of_a_prior_of_counts_are_as_bright_as_its_pictures(x64):
-    """The Kolmogorov distance of 20,000 draws at 0.1 %; where all begin from one brightness, the
-    brightest and the darkest are missing.
+    """The Kolmogorov distance of 20,000 draws at 0.1 %.
+
+    A tenth too much or too little of spread is caught; where all begin from one brightness, the
+    brightest and the darkest pictures are missing.
     """
     draws, exact = brightness_of_draws(0.12)
     assert scipy.stats.kstest(draws, exact.cdf).pvalue > 1e-3
+    for wrong in (0.108, 0.132):
+        assert scipy.stats.kstest(brightness_of_draws(wrong)[0], exact.cdf).pvalue < 1e-3
     draws, exact = brightness_of_draws(None)
     assert draws.std() < 0.9 * exact.std()
     assert scipy.stats.kstest(draws, exact.cdf).pvalue < 1e-6
