@@ -18,6 +18,7 @@ PATCHES, SIDE, DRAWS = 32, 64, 8
 # Means of so many losses; one this many times the median of the ten before it is a jump. Two right
 # trainings of 8000 steps stay below 1.1; one that a bad step spoilt for good had 27.
 _STRETCH, _BEFORE, _JUMP = 50, 10, 3.0
+_SHARED = 0.1  # makes means of draws up to 1.18 times too narrow (`shared_errors`)
 
 
 def central_patches(pictures: list[np.ndarray], stride: int, side: int = SIDE) -> np.ndarray:
@@ -86,10 +87,14 @@ def mean_psnr(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.mean(-10 * np.log10(np.maximum(error, 1e-12))))
 
 
-def doubts(losses: np.ndarray, table: dict[str, dict[str, float | None]]) -> list[str]:
-    """What stands against the weights: a jump of the losses (steps,), levels where BM3D is better.
+def doubts(
+    losses: np.ndarray, table: dict[str, dict[str, float | None]], shared: dict[str, float]
+) -> list[str]:
+    """What stands against the weights: a jump of the losses (steps,), levels where BM3D is better,
+    and where means are not known.
 
-    `table`: of `denoising`. A sentence each.
+    `table`: of `denoising`; `shared`: of `shared_errors`, empty where there are none. A sentence
+    each.
     """
     said, found = [], _jump(losses)
     if found is not None:
@@ -107,6 +112,13 @@ def doubts(losses: np.ndarray, table: dict[str, dict[str, float | None]]) -> lis
         said.append(
             f"BM3D, which learnt nothing, denoises better at sigma {', '.join(worse)}: train for "
             "longer or on more pictures"
+        )
+    if any(share > _SHARED for share in shared.values()):
+        sigma, share = max(shared.items(), key=lambda pair: pair[1])
+        said.append(
+            f"errors of a picture's mean share up to {100 * share:.0f} % of its noise (sigma "
+            f"{sigma}), and image means of draws come out too narrow: train on from these weights "
+            "(--init) with --averages 0.004"
         )
     return said
 

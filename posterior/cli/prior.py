@@ -16,8 +16,9 @@ from ..models.priors.learned import LearnedPrior
 from ..models.priors.storage import load_denoiser, located, save_card
 from ..presets import DENOISING, SAMPLERS, best_sampler, weights_card, whole_path
 from ..prior_calibration import calibration
+from ..shared_errors import knows_means, shared_errors
 from ..train import Preparation, prepare
-from ..training_report import on_patches
+from ..training_report import SIGMAS, on_patches
 from .options import Overwrite, Quiet, study_data
 from .words import held_shares
 
@@ -84,6 +85,8 @@ def _calibrated(name: str, card: dict[str, Any], folder: Path, quiet: bool) -> d
     pictures = [prepare(folder / file, how) for file in held_out]
     prior, patches = on_patches(load_denoiser(*asked), card["kind"], pictures)
     found = {"calibration": calibration(prior, patches, quiet=quiet)}
+    if knows_means(prior):
+        found["shared_errors"] = shared_errors(prior, patches, SIGMAS)
     card = card | {"validation": card.get("validation", {}) | found}
     save_card(located(*asked), card)
     return card
@@ -105,7 +108,9 @@ def _told(card: dict[str, Any]) -> list[str]:
     ]
     for sigma, row in validation.get("denoising_psnr_db", {}).items():
         others = "" if row.get("bm3d") is None else f", BM3D {row['bm3d']} dB"
-        said.append(f"held out, sigma {sigma}: {row['network']} dB{others}")
+        shared = validation.get("shared_errors", {}).get(sigma)
+        means = "" if shared is None else f", errors of means share {100 * shared:.0f} % of noise"
+        said.append(f"held out, sigma {sigma}: {row['network']} dB{others}{means}")
     for well, found in validation.get("calibration", {}).items():
         said.append(
             f"held out, {well} electrons: spread over error {found['spread_over_error']}, inside "

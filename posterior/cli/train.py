@@ -19,6 +19,7 @@ from ..models.priors.pictures import SYMMETRIES
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from ..models.priors.training import PRECISIONS, Recipe
 from ..prior_calibration import calibration
+from ..shared_errors import knows_means, shared_errors
 from ..train import (
     HOLD_OUT,
     OBJECTS,
@@ -30,7 +31,7 @@ from ..train import (
     statistics_of,
     train,
 )
-from ..training_report import denoising, doubts, on_patches, write_report
+from ..training_report import SIGMAS, denoising, doubts, on_patches, write_report
 from .options import study_data
 
 
@@ -116,7 +117,7 @@ def command(
     held_out = [loaded[n] for n in split.validation]
     prior, validation = _validated(denoiser, kind, held_out, quiet)
     table = validation["denoising_psnr_db"]
-    against = doubts(losses, table)
+    against = doubts(losses, table, validation.get("shared_errors", {}))
     card = {
         "name": _stem(out).name,
         "kind": kind,
@@ -154,6 +155,8 @@ def _validated(
     """The prior for patches, and what it is worth on pictures that it was not trained on."""
     prior, patches = on_patches(denoiser, kind, pictures)
     found = {"denoising_psnr_db": denoising(prior, patches), "patches": len(patches)}
+    if knows_means(prior):
+        found["shared_errors"] = shared_errors(prior, patches, SIGMAS)
     if prior.perturbation == "poisson":
         found["calibration"] = calibration(prior, patches, quiet=quiet)
     return prior, found

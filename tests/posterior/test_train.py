@@ -307,6 +307,7 @@ def test_command_writes_weights_card_and_report(command, folder, tmp_path, monke
     assert card["data"]["licence"] == "CC0"
     assert card["data"]["pictures"] == {"train": 4, "validation": 2, "test": 0}
     assert card["validation"]["patches"] == 2
+    assert set(card["validation"]["shared_errors"]) == {"0.025", "0.05", "0.1", "0.2"}
     assert str(tmp_path) not in card["training"]["command"]
     report = json.loads((tmp_path / "mine.training" / "report.json").read_text())
     assert set(report["denoising_psnr_db"]) == {"0.025", "0.05", "0.1", "0.2"}
@@ -345,12 +346,12 @@ def test_a_jump_of_the_loss_is_told_and_noise_is_not():
     """Losses of a batch of 16 have about a fifth of their mean for sd."""
     rng = np.random.default_rng(0)
     fair = (0.1 + np.exp(-np.arange(3000) / 300)) * rng.gamma(25, 1 / 25, (200, 3000))
-    assert all(training_report.doubts(losses, {}) == [] for losses in fair)
+    assert all(training_report.doubts(losses, {}, {}) == [] for losses in fair)
     spoilt = fair[0].copy()
     spoilt[1210:1230] = 3.0
-    (said,) = training_report.doubts(spoilt, {})
+    (said,) = training_report.doubts(spoilt, {}, {})
     assert "about step 1200" in said and "--clip" in said
-    assert training_report.doubts(spoilt[:1210], {}) == []
+    assert training_report.doubts(spoilt[:1210], {}, {}) == []
 
 
 def test_a_network_below_bm3d_says_so():
@@ -358,10 +359,17 @@ def test_a_network_below_bm3d_says_so():
         "0.05": {"noisy": 26.0, "network": 38.0, "bm3d": 37.5},
         "0.1": {"noisy": 20.0, "network": 34.0, "bm3d": 35.1},
     }
-    (said,) = training_report.doubts(np.ones(10), table)
+    (said,) = training_report.doubts(np.ones(10), table, {})
     assert "0.1 (34.0 dB, BM3D 35.1)" in said and "0.05" not in said
     table["0.1"]["bm3d"] = None
-    assert training_report.doubts(np.ones(10), table) == []
+    assert training_report.doubts(np.ones(10), table, {}) == []
+
+
+def test_means_that_are_not_known_are_told():
+    """The level of the largest share is named."""
+    (said,) = training_report.doubts(np.ones(10), {}, {"0.05": 0.12, "0.1": 0.31, "0.2": -0.01})
+    assert "31 % of its noise (sigma 0.1)" in said and "--averages" in said
+    assert training_report.doubts(np.ones(10), {}, {"0.1": 0.06}) == []
 
 
 def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monkeypatch):
