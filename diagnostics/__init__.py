@@ -50,6 +50,7 @@ from .repair_plot import plot_repair
 from .residuals import Check, Residuals, residual_checks
 from .sbc import Calibration, sbc
 from .score_count import score_evaluations
+from .shared_errors import shared_errors
 from .spread import (
     circular_mean,
     circular_sd,

@@ -10,13 +10,13 @@ import typer
 from rich.progress import track
 
 from ..diagnostics.prior_plot import plot_prior
+from ..diagnostics.shared_errors import knows_means, shared_errors
 from ..files import replace_whole, save_array
 from ..models.priors import EnergyPrior, ScorePrior
 from ..models.priors.learned import LearnedPrior
 from ..models.priors.storage import load_denoiser, located, save_card
 from ..presets import DENOISING, SAMPLERS, best_sampler, weights_card, whole_path
 from ..prior_calibration import calibration
-from ..shared_errors import knows_means, shared_errors
 from ..train import Preparation, prepare
 from ..training_report import SIGMAS, on_patches
 from .options import Overwrite, Quiet, study_data

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ..diagnostics.shared_errors import knows_means, shared_errors
 from ..models.priors.denoiser import Denoiser, Statistics
 from ..models.priors.learned import LearnedPrior
 from ..models.priors.perturbation import PERTURBATIONS, check_perturbation
@@ -19,7 +20,6 @@ from ..models.priors.pictures import SYMMETRIES
 from ..models.priors.storage import build_network, load_denoiser, read_card, save_weights
 from ..models.priors.training import PRECISIONS, Recipe
 from ..prior_calibration import calibration
-from ..shared_errors import knows_means, shared_errors
 from ..train import (
     HOLD_OUT,
     OBJECTS,

@@ -68,11 +68,13 @@ def test_draws_are_as_bright_as_the_pictures_and_as_differently(tmp_path):
     """
     assert main("nuclei", "--out", tmp_path, "--draws", "128", "--steps", "400", "--quiet") == 0
     stats = models.ScorePrior.load("nuclei", (64, 64), "poisson").statistics
-    means = np.load(tmp_path / "draws.npy").mean((1, 2))
+    drawn = np.load(tmp_path / "draws.npy")
+    means = drawn.mean((1, 2))
     sd, ratio = means.std(ddof=1), stats.brightness_sd / stats.mean
     error, error_sd = sd / np.sqrt(128), sd * np.sqrt((2 + 6 * ratio**2) / 128) / 2
     print(f"\nmeans {means.mean():.3f} +- {error:.3f}, of the pictures {stats.mean}")
     print(f"their sd {sd:.3f} +- {error_sd:.3f}, of the pictures {stats.brightness_sd}")
+    print(f"above 0.6: {100 * np.mean(drawn > 0.6):.1f} % of the pixels")
     assert abs(means.mean() - stats.mean) < 3 * error
     assert abs(sd - stats.brightness_sd) < 3 * error_sd
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from posterior.diagnostics.shared_errors import shared_errors
 from posterior.models import ScorePrior
 from posterior.models.thinning import thickened
-from posterior.shared_errors import shared_errors
 
 SIDE, COUNT = 8, 64
 PATCHES = np.random.default_rng(0).gamma(2, 0.2, (COUNT, SIDE, SIDE, 1)).astype("float32")

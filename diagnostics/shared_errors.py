@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .models.priors.learned import LearnedPrior
-from .models.priors.perturbation import error_sd, perturbed
+from ..models.priors.learned import LearnedPrior
+from ..models.priors.perturbation import error_sd, perturbed
 
 NOISES = 24
 
