@@ -210,7 +210,7 @@ def brightness_of_draws(brightness_sd):
     ends = {"sigma_min": 0.005 / n, "sigma_max": 9.6 / n}
     stats = Statistics(mean, sd, **ends, perturbation="poisson", brightness_sd=brightness_sd)
     prior = SimpleNamespace(
-        statistics=stats, sampling_steps=400, shape=(1,), dtype=np.float64,
+        statistics=stats, sampling_steps=200, shape=(1,), dtype=np.float64,
         denoise=lambda z, s: (z / s**2 + shape) / (1 / s**2 + rate),
     )  # fmt: skip
     draw = jax.jit(jax.vmap(lambda key: _thickened_draw(prior, key)))

@@ -68,17 +68,17 @@ def test_a_stopped_study_goes_on_without_repeating_an_answer(tmp_path):
 
 def test_a_system_that_does_not_apply_or_diverges_is_said_to(tmp_path):
     systems = ["narrow-minded", "diverging", "without weights"]
-    for _ in range(2):
-        found = answered(tmp_path, Work(str(tmp_path)), systems)
-        assert found["without weights"].refusal == "recording 0: no weights for counts"
-        assert found["narrow-minded"].refusal == "recording 0: only for blue pictures"
-        assert found["diverging"].refusal == "recording 0: the answer is not finite"
+    found = answered(tmp_path, Work(str(tmp_path)), systems)
+    assert found["without weights"].refusal == "recording 0: no weights for counts"
+    assert found["narrow-minded"].refusal == "recording 0: only for blue pictures"
+    assert found["diverging"].refusal == "recording 0: the answer is not finite"
 
 
 def test_a_refusal_is_not_kept(tmp_path):
     """A package may be installed meanwhile."""
     work = Work(str(tmp_path))
-    assert answered(tmp_path, work, ["narrow-minded"])["narrow-minded"].refusal
+    for _ in range(2):
+        assert answered(tmp_path, work, ["narrow-minded"])["narrow-minded"].refusal
     found = answered(tmp_path, work._replace(broad=True), ["narrow-minded"])["narrow-minded"]
     assert not found.refusal and found.images.shape == (3, 2, 3)
 
