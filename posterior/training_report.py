@@ -118,7 +118,7 @@ def doubts(
         said.append(
             f"errors of a picture's mean share up to {100 * share:.0f} % of its noise (sigma "
             f"{sigma}), and image means of draws come out too narrow: train on from these weights "
-            "(--init) with --averages 0.004"
+            "(--init) with --averages 0.004, or for longer"
         )
     return said
 

@@ -25,11 +25,16 @@ def denoiser(perturbation, denoise, channels=1):
 
 @pytest.mark.parametrize("perturbation", ["gaussian", "poisson"])
 def test_noise_itself_shares_nothing(perturbation):
-    """24 noises of 64 pictures at eight levels, each within 3.5 of its sd of 0.007."""
+    """24 noises of 64 pictures at eight levels, each within 3.5 of its sd of 0.007; with 16 black
+    pictures among them as well.
+    """
     levels = np.geomspace(0.02, 0.4, 8)
-    found = shared_errors(denoiser(perturbation, lambda z, sigma: z), PATCHES, levels)
+    itself = denoiser(perturbation, lambda z, sigma: z)
+    found = shared_errors(itself, PATCHES, levels)
     assert all(abs(f) < 3.5 * np.sqrt(2 / COUNT) / 24 for f in found.values())
     assert 0.3 < np.std(list(found.values())) / (np.sqrt(2 / COUNT) / 24) < 2
+    dark = np.concatenate([PATCHES, np.zeros_like(PATCHES[:16])])
+    assert all(abs(f) < 0.03 for f in shared_errors(itself, dark, levels[:1]).values())
 
 
 @pytest.mark.parametrize("perturbation", ["gaussian", "poisson"])
@@ -69,6 +74,17 @@ def test_where_means_are_not_known_it_refuses():
     prior = ScorePrior.load("complex-cells", (64, 64))
     with pytest.raises(ValueError, match="complex objects"):
         shared_errors(prior, PATCHES, SIGMAS)
+
+
+def test_what_cannot_be_asked_is_refused():
+    itself = denoiser("poisson", lambda z, sigma: z)
+    with pytest.raises(ValueError, match=r"shape \(64, 8, 8\): give \(n, 8, 8, 1\)"):
+        shared_errors(itself, PATCHES[..., 0], SIGMAS)
+    with pytest.raises(ValueError, match="not finite"):
+        shared_errors(itself, np.where(PATCHES > 1, np.nan, PATCHES), SIGMAS)
+    with pytest.raises(ValueError, match="noises 1: give 2"):
+        shared_errors(itself, PATCHES, SIGMAS, noises=1)
+    assert shared_errors(itself, np.zeros_like(PATCHES), (0.1,)) == {"0.1": 0.0}
 
 
 def test_the_same_seed_finds_the_same():
