@@ -36,13 +36,15 @@ def is_shipped(prior: str | None) -> bool:
 
 
 def whole_path(name: str, prior: str | None, sampler: str | None) -> str | None:
-    """The .safetensors file whose path `prior` begins, before "-gaussian-score.safetensors" and the
-    like, and that the sampler takes; anything else as it is.
+    """The .safetensors file whose path `prior` begins, before ".safetensors", or before
+    "-gaussian-score.safetensors" and the like if the sampler takes it; anything else as it is.
 
     Raises ValueError if weights begin so, but none that the sampler takes.
     """
     if prior is None or is_trained(prior) or Path(prior).exists():
         return prior
+    if Path(f"{prior}.safetensors").is_file():
+        return f"{prior}.safetensors"
     found = sorted(Path(prior).parent.glob(f"{Path(prior).name}-*.safetensors"))
     counts_first = ["counts", "annealed score"] if name == DENOISING else ["annealed score"]
     for needs in counts_first if sampler is None else [SAMPLERS[sampler].needs]:

@@ -410,6 +410,16 @@ def test_weights_may_be_named_by_what_their_paths_begin_with(
     assert found.resolved() == found
 
 
+def test_weights_may_be_named_as_training_was_told_to_name_them(tmp_path):
+    """`posterior train --out mine` writes mine.safetensors, whatever it is of."""
+    name = str(tmp_path / "mine")
+    assert presets.whole_path("denoising", name, None) == name
+    (tmp_path / "mine.safetensors").touch()
+    (tmp_path / "mine.training").mkdir()
+    for sampler in (None, "mala"):
+        assert presets.whole_path("denoising", name, sampler) == f"{name}.safetensors"
+
+
 def test_weights_that_begin_so_but_are_not_what_the_sampler_needs(tmp_path):
     for weights in FOLDER.glob("nuclei-poisson*"):
         (tmp_path / weights.name).symlink_to(weights)
