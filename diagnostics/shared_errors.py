@@ -26,9 +26,10 @@ def shared_errors(
 
     Squared, of `patches` (n, h, w, channels) in the prior's units, over the variance of the mean of
     the noise itself; both are averages of the patches, so that nearly black ones, whose noise is
-    next to nothing, do not decide. Of E[x | z] hardly anything is shared: the data know a mean
-    better than the prior does. Unbiased, so that it may be below 0; where nothing is shared, and
-    all are as bright, it has an sd of (2/n)^(1/2)/`noises`. 0 of patches without any light.
+    next to nothing, do not decide. Of E[x | z] hardly anything is shared at levels at which the
+    data know a mean better than the prior does. Unbiased, so that it may be below 0; where nothing
+    is shared, and all are as bright, it has an sd of (2/n)^(1/2)/`noises`. 0 of patches without any
+    light.
 
     Thickening counts electrons at the rate of what is denoised: over exposures of lambda a bias b
     of the mean adds b d lambda/lambda to it. Where a share f of the noise's variance is left at

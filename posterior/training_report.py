@@ -18,7 +18,7 @@ PATCHES, SIDE, DRAWS = 32, 64, 8
 # Means of so many losses; one this many times the median of the ten before it is a jump. Two right
 # trainings of 8000 steps stay below 1.1; one that a bad step spoilt for good had 27.
 _STRETCH, _BEFORE, _JUMP = 50, 10, 3.0
-_SHARED = 0.1  # makes means of draws up to 1.18 times too narrow (`shared_errors`)
+_SHARED = 0.1  # makes image means of thickening at most 1.18 times too narrow (`shared_errors`)
 
 
 def central_patches(pictures: list[np.ndarray], stride: int, side: int = SIDE) -> np.ndarray:
@@ -117,8 +117,8 @@ def doubts(
         sigma, share = max(shared.items(), key=lambda pair: pair[1])
         said.append(
             f"errors of a picture's mean share up to {100 * share:.0f} % of its noise (sigma "
-            f"{sigma}), and image means of draws come out too narrow: train on from these weights "
-            "(--init) with --averages 0.004, or for longer"
+            f"{sigma}), and image means of draws may come out too narrow: train on from these "
+            "weights (--init) with --averages 0.004, or for longer"
         )
     return said
 

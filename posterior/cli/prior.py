@@ -109,7 +109,11 @@ def _told(card: dict[str, Any]) -> list[str]:
     for sigma, row in validation.get("denoising_psnr_db", {}).items():
         others = "" if row.get("bm3d") is None else f", BM3D {row['bm3d']} dB"
         shared = validation.get("shared_errors", {}).get(sigma)
-        means = "" if shared is None else f", errors of means share {100 * shared:.0f} % of noise"
+        means = (
+            ""
+            if shared is None
+            else f", errors of means share {100 * max(shared, 0):.0f} % of noise"
+        )
         said.append(f"held out, sigma {sigma}: {row['network']} dB{others}{means}")
     for well, found in validation.get("calibration", {}).items():
         said.append(
