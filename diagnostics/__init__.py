@@ -27,6 +27,7 @@ from .fidelity import crps, energy_score, frechet_distance, nrmse, phase_psnr, p
 from .frechet import Frechet, frechet_from_truths, frechet_of_halves
 from .gauge import Gauge, align, gauge_to, symmetries_of
 from .joint import JointTest, geweke
+from .longer_exposure import Exposures, longer_exposure
 from .map_plot import plot_crps, plot_ess, plot_residuals, plot_rhat
 from .mode_masses import mode_masses
 from .mode_plot import plot_mode_masses

@@ -44,7 +44,9 @@ def shared_errors(
             "shared errors are those of the mean of a real picture: of complex objects and of the "
             "signal-dependent error no network knows it"
         )
-    _check(prior, patches, noises)
+    check_patches(prior, patches)
+    if noises < 2:
+        raise ValueError(f"noises {noises}: give 2 or more")
     clean = jnp.asarray(patches)
     noise = _variance_of_means(clean, prior)
 
@@ -68,7 +70,8 @@ def shared_errors(
     return found
 
 
-def _check(prior: LearnedPrior, patches: np.ndarray, noises: int) -> None:
+def check_patches(prior: LearnedPrior, patches: np.ndarray) -> None:
+    """Raise ValueError for patches that are not (n, h, w, channels) of the prior, or not finite."""
     shape = prior.shape if len(prior.shape) == 3 else (*prior.shape, 1)
     if patches.ndim != 4 or patches.shape[1:] != shape or not len(patches):
         raise ValueError(
@@ -77,8 +80,6 @@ def _check(prior: LearnedPrior, patches: np.ndarray, noises: int) -> None:
         )
     if not np.all(np.isfinite(patches)):
         raise ValueError("the patches have values that are not finite: leave those patches out")
-    if noises < 2:
-        raise ValueError(f"noises {noises}: give 2 or more")
 
 
 def _variance_of_means(clean: jax.Array, prior: LearnedPrior) -> float:
