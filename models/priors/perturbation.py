@@ -1,4 +1,4 @@
-"""The perturbations a network can be trained on, each with its error, loss and score.
+"""The perturbations a network can be trained on, each with its error and score.
 
 "gaussian", real:     x~ = x + e,          e ~ N(0, sigma^2)
 "gaussian", complex:  o~ = o + e,          Re e, Im e ~ N(0, sigma^2/4) each (eq:part_complex)
@@ -98,62 +98,3 @@ def score_from_denoised(
     if perturbation == "signal":
         return folded_score(x, denoised, sigma)
     return (denoised - x) / component_sd(sigma, complex_valued) ** 2
-
-
-def squared_error(error: jax.Array, averages: float = 0.0) -> jax.Array:
-    """Mean square of errors (h, w, channels), and `averages` times those of their averages.
-
-    Of the whole patch and of squares of 2, 4, 8, ... pixels a side that fill it, each average in
-    units of the sd that independent errors of 1 would give it. The mean square alone hardly sees an
-    error that all pixels share: over n of them 1 / n of it, where data know their average n times
-    as well as one. E[error | input] = 0 minimises any such sum of squares.
-    """
-    total = jnp.mean(jnp.square(error))
-    if not averages:
-        return total
-    h, w, channels = error.shape
-    sides = [2**k for k in range(1, 16) if h % 2**k == w % 2**k == 0 and 2**k < max(h, w)]
-    for rows, columns in [*((side, side) for side in sides), (h, w)]:
-        blocks = error.reshape(h // rows, rows, w // columns, columns, channels).mean((1, 3))
-        total += averages * rows * columns * jnp.mean(jnp.square(blocks))
-    return total
-
-
-def denoising_loss(
-    denoised: jax.Array, clean: jax.Array, perturbation: str, averages: float = 0.0
-) -> jax.Array:
-    """`squared_error`; for "signal" of pixels alone, over their clean value (at or above the
-    floor): what minimises it is a harmonic mean, which averages of errors would move.
-    """
-    if perturbation == "signal":
-        return jnp.mean(jnp.square(denoised - clean) / clean)
-    return squared_error(denoised - clean, averages)
-
-
-def count_loss(
-    denoised: jax.Array,
-    clean: jax.Array,
-    z: jax.Array,
-    sigma: jax.Array,
-    mean: float,
-    averages: float = 0.0,
-) -> jax.Array:
-    """`squared_error` over 2 sqrt(z), as of square roots: E[clean | z] minimises it.
-
-    The weight has a floor between sigma^2, one count, and the pictures' mean. It depends on the
-    perturbed z alone: one that looked at the clean picture would move the minimum.
-    """
-    floor = sigma**2 * mean / (sigma**2 + mean)
-    return squared_error((denoised - clean) / (2 * jnp.sqrt(z + floor)), averages)
-
-
-def signal_score_loss(
-    score: jax.Array, clean: jax.Array, x: jax.Array, sigma: jax.Array, floor: float
-) -> jax.Array:
-    """eq:DNN_poisson, folded, in units of the error, for scores that come from an energy.
-
-    The weight depends on the perturbed `x` >= 0 alone: one that looked at the clean picture would
-    move the minimum.
-    """
-    target = folded_score(x, clean, sigma)
-    return jnp.mean(sigma**2 * jnp.maximum(x, floor) * jnp.square(score - target))

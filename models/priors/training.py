@@ -15,7 +15,8 @@ import optax
 from .denoiser import Denoiser
 from .layers import in_precision
 from .learned import energy
-from .perturbation import count_loss, denoising_loss, perturbed, signal_score_loss
+from .losses import CoarseErrors, count_loss, denoising_loss, signal_score_loss
+from .perturbation import perturbed
 from .pictures import SYMMETRIES, Pictures
 
 KINDS = ("score", "energy")
@@ -35,7 +36,8 @@ class Recipe:
     gradient; `symmetry`: what a patch may be turned by, one of `SYMMETRIES`; `precision`: of the
     network's convolutions, one of `PRECISIONS`. Weights, their average, the loss and Adam are
     float32 either way; bfloat16 pays on accelerators that have units for it. `averages`: weight of
-    errors of averages beside those of pixels (`squared_error`).
+    errors of averages beside those of pixels (`block_errors`); `areas`: of averages over pixels
+    that are equally bright (`equally_bright_errors`).
     """
 
     kind: str = "score"
@@ -49,6 +51,7 @@ class Recipe:
     symmetry: str = "square"
     precision: str = "float32"
     averages: float = 0.0
+    areas: float = 0.0
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -61,8 +64,10 @@ class Recipe:
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
-        if not 0 <= self.averages <= 1:
-            raise ValueError(f"averages {self.averages}: give a weight from 0 to 1, as 0.004")
+        for name, usual in (("averages", 0.004), ("areas", 0.016)):
+            weight = getattr(self, name)
+            if not 0 <= weight <= 1:
+                raise ValueError(f"{name} {weight}: give a weight from 0 to 1, as {usual}")
         if not (self.rate > 0 and self.clip > 0 and 0 <= self.average < 1):
             raise ValueError(
                 f"rate {self.rate}, clip {self.clip}, average {self.average}: rate and clip must "
@@ -71,11 +76,12 @@ class Recipe:
 
     def check(self, perturbation: str) -> None:
         """Raise ValueError if weights for that error cannot be trained so."""
-        if self.averages and perturbation == "signal":
-            raise ValueError(
-                f"averages {self.averages}: of the signal-dependent error a network learns a "
-                "harmonic mean, which errors of averages would move; leave it out"
-            )
+        for name in ("averages", "areas"):
+            if getattr(self, name) and perturbation == "signal":
+                raise ValueError(
+                    f"{name} {getattr(self, name)}: of the signal-dependent error a network learns "
+                    "a harmonic mean, which errors of averages would move; leave it out"
+                )
 
     def optimiser(self) -> optax.GradientTransformation:
         """Clipped Adam under a cosine schedule, which counts steps inside its own state."""
@@ -155,20 +161,34 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     clean = pictures.patch(key_patch, recipe.size, recipe.symmetry)
     sigma = random_level(key_level, denoiser)
     x = perturbed(key_error, clean, sigma, stats.perturbation, stats.complex_valued)
-    weight = denoiser.loss_weight(sigma)
+    weight, coarse = denoiser.loss_weight(sigma), coarse_errors(denoiser, recipe, sigma)
     if stats.perturbation == "poisson":
         denoised = denoiser(x, sigma)
-        return weight * count_loss(denoised, clean, x, sigma, stats.mean, recipe.averages)
+        return weight * count_loss(denoised, clean, x, sigma, stats.mean, coarse)
     if recipe.kind == "score":
         denoised = denoiser(x, sigma)
-        return weight * denoising_loss(denoised, clean, stats.perturbation, recipe.averages)
+        return weight * denoising_loss(denoised, clean, stats.perturbation, coarse)
     score = -jax.grad(energy, argnums=1)(denoiser, x, sigma)
     if stats.perturbation == "signal":
         # denoising_loss is about sigma^2 times this one.
         return weight * sigma**2 * signal_score_loss(score, clean, x, sigma, stats.lowest)
     variance = denoiser.channel_sd(sigma) ** 2
     denoised = x + variance * score
-    return weight * denoising_loss(denoised, clean, stats.perturbation, recipe.averages)
+    return weight * denoising_loss(denoised, clean, stats.perturbation, coarse)
+
+
+def coarse_errors(denoiser: Denoiser, recipe: Recipe, sigma: jax.Array) -> CoarseErrors | None:
+    """What coarse errors weigh at a level beside those of pixels; None if they do not.
+
+    With `loss_weight` it is 1/s^2, so that they count in units of the noise's averages at every
+    level. Where the noise is above the pictures' contrast d, averages hold most of what a picture
+    is, and by the pixels' weight, which tends to 1/d^2, they would drown the pixels.
+    """
+    if not (recipe.averages or recipe.areas):
+        return None
+    noise, contrast = denoiser.channel_sd(sigma) ** 2, denoiser.channel_spread**2
+    share = contrast / (contrast + noise)
+    return CoarseErrors(recipe.averages * share, recipe.areas * share)
 
 
 def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:

@@ -69,6 +69,13 @@ def command(
             "those of pixels, as 0.004; far more costs sharpness."
         ),
     ] = 0.0,
+    areas: Annotated[
+        float,
+        typer.Option(
+            help="Weight of errors of averages over pixels that the network takes for equally "
+            "bright, which decide areas above a threshold, as 0.016."
+        ),
+    ] = 0.0,
     network: Annotated[str, typer.Option(help="unet, or ncsnv2.")] = "unet",
     widths: Annotated[str, typer.Option(help="Channels of each level.")] = "32,64,96",
     blocks: Annotated[int, typer.Option(help="Residual blocks a level.")] = 1,
@@ -95,7 +102,7 @@ def command(
     how = Preparation(objects, percentile, least, group, validation, test, hold_out, crop, resize)
     recipe = Recipe(
         kind, steps, batch, size, rate, clip=clip, seed=seed, symmetry=symmetry,
-        precision=precision, averages=averages,
+        precision=precision, averages=averages, areas=areas,
     )  # fmt: skip
     recipe.check(perturbation)
     folder = _data_folder(data)

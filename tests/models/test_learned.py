@@ -18,12 +18,12 @@ from posterior.models import priors
 from posterior.models.priors import EnergyPrior, ScorePrior
 from posterior.models.priors.conservative import line_integral, loop_check, require_gradient
 from posterior.models.priors.denoiser import Denoiser, Statistics
+from posterior.models.priors.losses import signal_score_loss
 from posterior.models.priors.perturbation import (
     folded_energy,
     folded_score,
     perturbed,
     score_from_denoised,
-    signal_score_loss,
 )
 from posterior.models.priors.pictures import Pictures
 from posterior.models.priors.training import Recipe, patch_loss

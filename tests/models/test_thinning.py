@@ -8,7 +8,8 @@ import scipy.stats
 
 from posterior.models import PixelPrior
 from posterior.models.priors.denoiser import Statistics
-from posterior.models.priors.perturbation import count_loss, perturbed
+from posterior.models.priors.losses import count_loss
+from posterior.models.priors.perturbation import perturbed
 from posterior.models.thinning import added_electrons, poisson_between, thickened
 
 DRAWS = 60_000

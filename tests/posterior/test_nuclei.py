@@ -28,7 +28,8 @@ from posterior.diagnostics.regions import (
 )
 from posterior.diagnostics.shared_errors import shared_errors
 from posterior.estimators import anscombe_denoised
-from posterior.models.priors.perturbation import perturbed, signal_score_loss
+from posterior.models.priors.losses import signal_score_loss
+from posterior.models.priors.perturbation import perturbed
 from posterior.models.priors.storage import card_of
 from posterior.studies import held_out
 from posterior.studies.systems import published_kawar

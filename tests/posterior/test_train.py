@@ -385,6 +385,7 @@ def test_data_may_be_a_folder_of_the_data_folder(command, folder, tmp_path, monk
         (("--perturbation", "poisson", "--kind", "energy"), "counts have no density"),
         (("--perturbation", "signal", "--averages", 0.004), "learns a harmonic mean"),
         (("--averages", 2), "averages 2.0: give a weight from 0 to 1"),
+        (("--areas", -1), "areas -1.0: give a weight from 0 to 1"),
         (("--kind", "flow"), "unknown kind"),
         (("--objects", "video"), "unknown objects"),
         (("--size", 10), "multiples of 4"),
