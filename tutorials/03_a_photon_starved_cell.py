@@ -172,11 +172,11 @@ for name, shares in inside.items():
     print(f"{name}: the 90 % interval held the truth in {100 * np.mean(shares):.0f} %")
 
 # %% [markdown]
-# Pixels and the total light are what they claim to be, as far as 16 pictures can tell. **The
-# bright area is not**: its intervals miss the truth in most pictures. Our nuclei have other rims
-# than those the network was trained on, and it places each rim a fraction of a pixel beside ours.
-# That makes no pixel wrong by more than its standard deviation, but the same error in a hundred of
-# them makes the area wrong by many of its own.
+# Pixels are what they claim to be, as far as 16 pictures can tell; the total light is held a little
+# less often than it ought to be. **The bright area is not held**: its intervals miss the truth in
+# most pictures. Our nuclei have other rims than those the network was trained on, and it places
+# each rim a fraction of a pixel beside ours. That makes no pixel wrong by more than its standard
+# deviation, but the same error in a hundred of them makes the area wrong by many of its own.
 #
 # So check a prior on pictures whose truth is known, and check it on the question that you ask. That
 # pixels are covered proves nothing of areas.

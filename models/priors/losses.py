@@ -38,14 +38,16 @@ def block_errors(error: jax.Array) -> jax.Array:
 def equally_bright_errors(error: jax.Array, shade: jax.Array) -> jax.Array:
     """As `block_errors`, over pixels that are about equally bright in `shade` (h, w, channels).
 
-    In the order of brightness they are averaged by 16, 64, 256, ... that divide their number. A rim
-    that is everywhere a little too bright is such an error: no pixel is wrong for it and no square,
-    but the area above a threshold is. `shade` must follow from the input alone.
+    In the order of brightness they are averaged by 16 and by 64, where these divide their number. A
+    rim that is everywhere a little too bright is such an error: no pixel is wrong for it and no
+    square, but the area above a threshold is. Averages of more pixels, most of them background,
+    have gradients so noisy that what is fine and dark is not learnt. `shade` must follow from the
+    input alone.
     """
     h, w, channels = error.shape
     ordered = error.reshape(h * w, channels)[jnp.argsort(shade.mean(-1).reshape(-1))]
     total = jnp.zeros((), error.dtype)
-    for length in (4**k for k in range(2, 16) if h * w % 4**k == 0 and 4**k < h * w):
+    for length in (length for length in (16, 64) if h * w % length == 0):
         runs = ordered.reshape(h * w // length, length, channels).mean(1)
         total += length * jnp.mean(jnp.square(runs))
     return total

@@ -64,7 +64,7 @@ class Recipe:
         for name in ("steps", "batch", "size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name)}: give 1 or more")
-        for name, usual in (("averages", 0.004), ("areas", 0.016)):
+        for name, usual in (("averages", 0.004), ("areas", 0.008)):
             weight = getattr(self, name)
             if not 0 <= weight <= 1:
                 raise ValueError(f"{name} {weight}: give a weight from 0 to 1, as {usual}")

@@ -19,14 +19,14 @@ from posterior.models.priors.training import Recipe, coarse_errors, start_traini
 
 def test_an_even_error_counts_for_every_average():
     """3 in each of 8 x 8 pixels: 4 x 9 of squares of 2, 16 x 9 of 4, 64 x 9 of the patch; 16 x 9
-    of 16 that are equally bright.
+    and 64 x 9 of so many that are equally bright.
     """
     error = jnp.full((8, 8, 2), 3.0)
     np.testing.assert_allclose(block_errors(error), (4 + 16 + 64) * 9, rtol=1e-6)
-    np.testing.assert_allclose(equally_bright_errors(error, error), 16 * 9, rtol=1e-6)
+    np.testing.assert_allclose(equally_bright_errors(error, error), (16 + 64) * 9, rtol=1e-6)
     clean = jnp.ones((8, 8, 2))
     found = denoising_loss(clean + error, clean, "gaussian", CoarseErrors(0.1, 0.01))
-    np.testing.assert_allclose(found, 9 + 0.1 * 84 * 9 + 0.01 * 16 * 9, rtol=1e-6)
+    np.testing.assert_allclose(found, 9 + 0.1 * 84 * 9 + 0.01 * 80 * 9, rtol=1e-6)
 
 
 def test_an_error_that_averages_out_counts_for_pixels_alone():
@@ -56,9 +56,9 @@ def test_independent_errors_count_once_for_each_average(shape, averages):
     assert abs(found.mean() - averages) < 4 * found.std() / np.sqrt(len(found))
 
 
-@pytest.mark.parametrize("shape, lengths", [((48, 48), 3), ((64, 64), 4), ((8, 6), 1), ((5, 5), 0)])
+@pytest.mark.parametrize("shape, lengths", [((48, 48), 2), ((64, 64), 2), ((8, 6), 1), ((5, 5), 0)])
 def test_independent_errors_count_once_for_each_length(shape, lengths):
-    """16, 64 and 256 of the 2304 pixels of 48 x 48, and so on, whatever is bright."""
+    """16 and 64 of the 2304 pixels of 48 x 48, and so on, whatever is bright."""
     keys = jax.random.split(jax.random.key(2))
     noise, shade = (jax.random.normal(key, (4000, *shape, 1)) for key in keys)
     found = jax.vmap(equally_bright_errors)(noise, shade)
