@@ -37,7 +37,8 @@ def shared_errors(
     (1 + 4 f)^(1/2) times too narrow.
 
     Raises ValueError for complex objects, for the signal-dependent error, of which a network knows
-    a harmonic mean, for patches that are not the prior's or not finite, and for less than 2 noises.
+    a harmonic mean, for patches that are not the prior's, not finite, or below 0 under a prior of
+    counts, and for less than 2 noises.
     """
     if not knows_means(prior):
         raise ValueError(
@@ -71,7 +72,9 @@ def shared_errors(
 
 
 def check_patches(prior: LearnedPrior, patches: np.ndarray) -> None:
-    """Raise ValueError for patches that are not (n, h, w, channels) of the prior, or not finite."""
+    """Raise ValueError for patches that are not (n, h, w, channels) of the prior, not finite, or
+    below 0 under a prior of counts.
+    """
     shape = prior.shape if len(prior.shape) == 3 else (*prior.shape, 1)
     if patches.ndim != 4 or patches.shape[1:] != shape or not len(patches):
         raise ValueError(
@@ -80,6 +83,11 @@ def check_patches(prior: LearnedPrior, patches: np.ndarray) -> None:
         )
     if not np.all(np.isfinite(patches)):
         raise ValueError("the patches have values that are not finite: leave those patches out")
+    if prior.perturbation == "poisson" and np.min(patches) < 0:
+        raise ValueError(
+            f"the darkest value of the patches is {np.min(patches):.3g}: light that is counted is "
+            "0 or more, clip them or take their offset away"
+        )
 
 
 def _variance_of_means(clean: jax.Array, prior: LearnedPrior) -> float:

@@ -106,6 +106,8 @@ def test_what_cannot_be_asked_is_refused():
         longer_exposure(Gamma(), pictures(2), 0.2, 0.1, draws=1)
     with pytest.raises(ValueError, match=r"give \(n, 8, 8, 1\)"):
         longer_exposure(Gamma(), pictures(2)[..., 0], 0.2, 0.1)
+    with pytest.raises(ValueError, match="light that is counted is 0 or more"):
+        longer_exposure(Gamma(), -pictures(2), 0.2, 0.1)
     with pytest.raises(ValueError, match="not finite"):
         longer_exposure(Gamma(), np.full((2, SIDE, SIDE, 1), np.nan), 0.2, 0.1)
 

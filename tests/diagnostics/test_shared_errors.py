@@ -80,6 +80,8 @@ def test_what_cannot_be_asked_is_refused():
     itself = denoiser("poisson", lambda z, sigma: z)
     with pytest.raises(ValueError, match=r"shape \(64, 8, 8\): give \(n, 8, 8, 1\)"):
         shared_errors(itself, PATCHES[..., 0], SIGMAS)
+    with pytest.raises(ValueError, match="light that is counted is 0 or more"):
+        shared_errors(itself, -PATCHES, SIGMAS)
     with pytest.raises(ValueError, match="not finite"):
         shared_errors(itself, np.where(PATCHES > 1, np.nan, PATCHES), SIGMAS)
     with pytest.raises(ValueError, match="noises 1: give 2"):
