@@ -14,10 +14,16 @@ from .perturbation import folded_score
 
 
 class CoarseErrors(NamedTuple):
-    """Weights, beside errors of pixels, of `block_errors` and of `equally_bright_errors`."""
+    """Weights beside errors of pixels: `averages` of `block_errors`, `areas` of
+    `equally_bright_errors`, both times the `share` of a level.
+    """
 
-    averages: float | jax.Array = 0.0
-    areas: float | jax.Array = 0.0
+    averages: float = 0.0
+    areas: float = 0.0
+    share: float | jax.Array = 1.0
+
+
+PIXELS_ALONE = CoarseErrors()
 
 
 def block_errors(error: jax.Array) -> jax.Array:
@@ -40,21 +46,35 @@ def equally_bright_errors(error: jax.Array, shade: jax.Array) -> jax.Array:
 
     In the order of brightness they are averaged by 16 and by 64, where these divide their number. A
     rim that is everywhere a little too bright is such an error: no pixel is wrong for it and no
-    square, but the area above a threshold is. Averages of more pixels, most of them background,
-    have gradients so noisy that what is fine and dark is not learnt. `shade` must follow from the
-    input alone.
+    square, but the area above a threshold is. `shade` must follow from the input alone.
     """
     h, w, channels = error.shape
     ordered = error.reshape(h * w, channels)[jnp.argsort(shade.mean(-1).reshape(-1))]
     total = jnp.zeros((), error.dtype)
-    for length in (length for length in (16, 64) if h * w % length == 0):
-        runs = ordered.reshape(h * w // length, length, channels).mean(1)
-        total += length * jnp.mean(jnp.square(runs))
+    for length in (16, 64):
+        if h * w % length == 0:
+            runs = ordered.reshape(h * w // length, length, channels).mean(1)
+            total += length * jnp.mean(jnp.square(runs))
+    return total
+
+
+def _squared(
+    error: jax.Array, of_equals: jax.Array, denoised: jax.Array, coarse: CoarseErrors
+) -> jax.Array:
+    """Errors of pixels and `coarse` ones, those that are asked for; `of_equals`: errors in units
+    that are the same for equally bright pixels.
+    """
+    total = jnp.mean(jnp.square(error))
+    if coarse.averages:
+        total += coarse.averages * coarse.share * block_errors(error)
+    if coarse.areas:
+        shade = jax.lax.stop_gradient(denoised)
+        total += coarse.areas * coarse.share * equally_bright_errors(of_equals, shade)
     return total
 
 
 def denoising_loss(
-    denoised: jax.Array, clean: jax.Array, perturbation: str, coarse: CoarseErrors | None = None
+    denoised: jax.Array, clean: jax.Array, perturbation: str, coarse: CoarseErrors = PIXELS_ALONE
 ) -> jax.Array:
     """Mean squared error, with `coarse` ones if asked for; for "signal" of pixels alone, over their
     clean value (at or above the floor): what minimises it is a harmonic mean, which averages of
@@ -63,14 +83,7 @@ def denoising_loss(
     error = denoised - clean
     if perturbation == "signal":
         return jnp.mean(jnp.square(error) / clean)
-    if coarse is None:
-        return jnp.mean(jnp.square(error))
-    shade = jax.lax.stop_gradient(denoised)
-    return (
-        jnp.mean(jnp.square(error))
-        + coarse.averages * block_errors(error)
-        + coarse.areas * equally_bright_errors(error, shade)
-    )
+    return _squared(error, error, denoised, coarse)
 
 
 def count_loss(
@@ -79,7 +92,7 @@ def count_loss(
     z: jax.Array,
     sigma: jax.Array,
     mean: float,
-    coarse: CoarseErrors | None = None,
+    coarse: CoarseErrors = PIXELS_ALONE,
 ) -> jax.Array:
     """Errors over 2 sqrt(z), as of square roots, squared: E[clean | z] minimises it.
 
@@ -91,13 +104,8 @@ def count_loss(
     floor = sigma**2 * mean / (sigma**2 + mean)
     error = denoised - clean
     of_pixels = error / (2 * jnp.sqrt(z + floor))
-    total = jnp.mean(jnp.square(of_pixels))
-    if coarse is None:
-        return total
-    shade = jax.lax.stop_gradient(denoised)
-    of_equals = error / (2 * jnp.sqrt(shade + floor))
-    total += coarse.averages * block_errors(of_pixels)
-    return total + coarse.areas * equally_bright_errors(of_equals, shade)
+    of_equals = error / (2 * jnp.sqrt(jax.lax.stop_gradient(denoised) + floor))
+    return _squared(of_pixels, of_equals, denoised, coarse)
 
 
 def signal_score_loss(

@@ -177,18 +177,15 @@ def patch_loss(denoiser: Denoiser, key: jax.Array, pictures: Pictures, recipe: R
     return weight * denoising_loss(denoised, clean, stats.perturbation, coarse)
 
 
-def coarse_errors(denoiser: Denoiser, recipe: Recipe, sigma: jax.Array) -> CoarseErrors | None:
-    """What coarse errors weigh at a level beside those of pixels; None if they do not.
+def coarse_errors(denoiser: Denoiser, recipe: Recipe, sigma: jax.Array) -> CoarseErrors:
+    """What coarse errors weigh at a level beside those of pixels.
 
     With `loss_weight` it is 1/s^2, so that they count in units of the noise's averages at every
     level. Where the noise is above the pictures' contrast d, averages hold most of what a picture
     is, and by the pixels' weight, which tends to 1/d^2, they would drown the pixels.
     """
-    if not (recipe.averages or recipe.areas):
-        return None
     noise, contrast = denoiser.channel_sd(sigma) ** 2, denoiser.channel_spread**2
-    share = contrast / (contrast + noise)
-    return CoarseErrors(recipe.averages * share, recipe.areas * share)
+    return CoarseErrors(recipe.averages, recipe.areas, contrast / (contrast + noise))
 
 
 def random_level(key: jax.Array, denoiser: Denoiser) -> jax.Array:

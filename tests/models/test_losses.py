@@ -92,9 +92,16 @@ def test_coarse_errors_count_in_units_of_the_noise_at_every_level(perturbation):
     denoiser = fresh(Statistics(0.5, 0.28, 0.01, 2.0, perturbation, lowest=0.0))
     for sigma in (0.01, 0.3, 2.0):
         found = coarse_errors(denoiser, Recipe(averages=0.004, areas=0.016), sigma)
-        units = denoiser.loss_weight(sigma) * np.array(found) * denoiser.channel_sd(sigma) ** 2
-        np.testing.assert_allclose(units, (0.004, 0.016), rtol=1e-5)
-    assert coarse_errors(denoiser, Recipe(), 0.3) is None
+        assert found[:2] == (0.004, 0.016)
+        units = denoiser.loss_weight(sigma) * found.share * denoiser.channel_sd(sigma) ** 2
+        np.testing.assert_allclose(units, 1, rtol=1e-5)
+
+
+def test_coarse_errors_weigh_what_their_share_says():
+    """3 in each pixel, at half of the weights of the test above."""
+    clean, error = jnp.ones((8, 8, 2)), jnp.full((8, 8, 2), 3.0)
+    found = denoising_loss(clean + error, clean, "gaussian", CoarseErrors(0.1, 0.01, 0.5))
+    np.testing.assert_allclose(found, 9 + 0.05 * 84 * 9 + 0.005 * 80 * 9, rtol=1e-6)
 
 
 def test_of_the_signal_dependent_error_averages_are_left_out():
